@@ -1,0 +1,1 @@
+"""Policy, planning and the law that makes the robot follow."""

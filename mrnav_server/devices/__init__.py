@@ -1,0 +1,1 @@
+"""Manipulators and cameras behind two protocols."""

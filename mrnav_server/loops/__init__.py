@@ -1,0 +1,1 @@
+"""What waits: tracking, hand link, control, recorder."""

@@ -1,0 +1,1 @@
+"""The simulated rig; it advances only when told."""

@@ -1,0 +1,1 @@
+"""Trials, results and pictures."""

@@ -1,0 +1,1 @@
+"""Vessel models, the environment, learning and evaluation."""

@@ -1,0 +1,1 @@
+"""Finding the robot in the image."""
