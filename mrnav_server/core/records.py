@@ -111,13 +111,15 @@ class LeaseState:
 
     Attributes:
         epoch: Rises at every change of holder.
-        holder: Session that holds the lease; None when it is free.
-        client: The holder's own name, for people.
-        hand: Whether the holder has a live hand link.
+        holder: Session that holds the lease (the hand if there is one); None when it is free.
+        console: Session of the page that shares the lease; None without one.
+        client: The holders' own names, for people.
+        hand: Whether a hand link belongs to the lease.
     """
 
     epoch: int
     holder: str | None
+    console: str | None
     client: str
     hand: bool
 

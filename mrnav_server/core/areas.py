@@ -1,0 +1,89 @@
+"""The critical areas that were marked: where autonomy hands over."""
+
+from mrnav_server.core.errors import RefusedError
+from mrnav_server.core.frames import VesselPoint
+from mrnav_server.core.records import CriticalArea
+from mrnav_server.core.vessel import VesselMap
+
+_EPSILON_RANGE_UM = (50.0, 3000.0)
+
+
+class CriticalAreas:
+    """Areas in the order in which they were marked.
+
+    Args:
+        vessel: Areas must lie where the robot fits.
+    """
+
+    def __init__(self, vessel: VesselMap) -> None:
+        self._vessel = vessel
+        self._areas: dict[str, CriticalArea] = {}
+        self._made = 0
+
+    def list(self) -> list[CriticalArea]:
+        """Return all areas, oldest first."""
+        return list(self._areas.values())
+
+    def get(self, area_id: str) -> CriticalArea:
+        """Return one area.
+
+        Raises:
+            RefusedError: If there is none with this id.
+        """
+        if area_id not in self._areas:
+            known = ", ".join(self._areas) or "none is marked"
+            raise RefusedError("no_such_area", f"there is no critical area {area_id!r} ({known})")
+        return self._areas[area_id]
+
+    def add(self, center: VesselPoint, epsilon_um: float, label: str) -> CriticalArea:
+        """Mark an area and return it with its new id.
+
+        Raises:
+            RefusedError: If it lies where the robot cannot go, or its radius is out of range.
+        """
+        self._check(center, epsilon_um)
+        self._made += 1
+        return self._store(CriticalArea(f"area-{self._made}", center, epsilon_um, label))
+
+    def replace(self, area_id: str, center: VesselPoint, epsilon_um: float, label: str) -> CriticalArea:
+        """Change an area and return it.
+
+        Raises:
+            RefusedError: If it does not exist, or the new values are refused.
+        """
+        self.get(area_id)
+        self._check(center, epsilon_um)
+        return self._store(CriticalArea(area_id, center, epsilon_um, label))
+
+    def remove(self, area_id: str) -> None:
+        """Forget an area.
+
+        Raises:
+            RefusedError: If it does not exist.
+        """
+        self.get(area_id)
+        del self._areas[area_id]
+
+    def _store(self, area: CriticalArea) -> CriticalArea:
+        self._areas[area.id] = area
+        return area
+
+    def _check(self, center: VesselPoint, epsilon_um: float) -> None:
+        low, high = _EPSILON_RANGE_UM
+        if not low <= epsilon_um <= high:
+            raise RefusedError("bad_epsilon", f"epsilon_um must lie between {low:.0f} and {high:.0f}")
+        size = self._vessel.size_px
+        if not (0 <= center.x_px < size and 0 <= center.y_px < size):
+            raise RefusedError("outside", f"the center lies outside the vessel model (0..{size} px)")
+        wall_um = self._vessel.wall_distance_px(center.x_px, center.y_px) * self._vessel.um_per_px
+        if wall_um < 0:
+            raise RefusedError("in_wall", f"the center lies {-wall_um:.0f} µm inside the wall")
+        if not self._vessel.is_free(center.x_px, center.y_px):
+            radius_um = self._vessel.robot_radius_px * self._vessel.um_per_px
+            if wall_um <= radius_um:
+                raise RefusedError(
+                    "too_close",
+                    f"the wall is {wall_um:.0f} µm away and the robot's radius is {radius_um:.0f} µm: "
+                    f"move the center {radius_um - wall_um:.0f} µm further in",
+                )
+            raise RefusedError("unreachable", "the robot cannot reach this part of the vessel")

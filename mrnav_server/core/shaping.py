@@ -1,0 +1,153 @@
+"""One jerk-limited shaper owns the setpoint; a mode switch changes only its reference.
+
+A velocity servo with feed-forward. Limits hold for the length of the vector, so motion is the same in
+every direction (an axis-wise generator would give a diagonal 1.4 times the acceleration of an axis).
+"""
+
+import math
+from dataclasses import dataclass
+
+from mrnav_server.core.frames import StagePoint
+from mrnav_server.core.limits import Limits
+
+_SUBSTEP_S = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Where the tip should be and how fast it should move there.
+
+    Attributes:
+        position: In the stage frame.
+        velocity_um_per_s: Feed-forward, stage x, y, z.
+        speed_um_per_s: Speed limit of the mode.
+    """
+
+    position: StagePoint
+    velocity_um_per_s: tuple[float, float, float]
+    speed_um_per_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ShaperGains:
+    """Gains of the servo inside the shaper.
+
+    Attributes:
+        position_per_s: Position error to velocity.
+        velocity_per_s: Velocity error to acceleration.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
+
+    position_per_s: float = 20.0
+    velocity_per_s: float = 60.0
+
+
+class Shaper:
+    """Position, velocity and acceleration of the setpoint; all three are continuous across modes.
+
+    Args:
+        limits: Speed, acceleration and jerk bounds.
+        gains: Servo gains.
+    """
+
+    def __init__(self, limits: Limits, gains: ShaperGains | None = None) -> None:
+        self._limits = limits
+        self._gains = gains or ShaperGains()
+        self._p = [0.0, 0.0, 0.0]
+        self._v = [0.0, 0.0, 0.0]
+        self._a = [0.0, 0.0, 0.0]
+
+    @property
+    def position(self) -> StagePoint:
+        """The setpoint."""
+        return StagePoint(*self._p)
+
+    @property
+    def velocity_um_per_s(self) -> tuple[float, float, float]:
+        """The setpoint's velocity, stage x, y, z."""
+        return (self._v[0], self._v[1], self._v[2])
+
+    @property
+    def acceleration_um_per_s2(self) -> tuple[float, float, float]:
+        """The setpoint's acceleration, stage x, y, z."""
+        return (self._a[0], self._a[1], self._a[2])
+
+    @property
+    def speed_um_per_s(self) -> float:
+        """The setpoint's speed."""
+        return math.hypot(*self._v)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the setpoint stands still (slower than a manipulator can be told to move)."""
+        return self.speed_um_per_s < 1.0 and math.hypot(*self._a) < 1000.0
+
+    def reset(self, position: StagePoint) -> None:
+        """Stand still at a position: before the first motion, and after a device stop."""
+        self._p = [position.x_um, position.y_um, position.z_um]
+        self._v = [0.0, 0.0, 0.0]
+        self._a = [0.0, 0.0, 0.0]
+
+    def step(self, dt_s: float, reference: Reference | None) -> StagePoint:
+        """Advance the setpoint and return it.
+
+        Args:
+            dt_s: Time since the last step; long gaps are cut to 50 ms, so that a stall never becomes a leap.
+            reference: Where to go; None brings the setpoint to rest with full, jerk-limited deceleration.
+        """
+        left_s = min(dt_s, 0.05)
+        elapsed_s = 0.0
+        while left_s > 1e-9:
+            h_s = min(_SUBSTEP_S, left_s)
+            self._substep(h_s, elapsed_s, reference)
+            left_s -= h_s
+            elapsed_s += h_s
+        if reference is None and self.at_rest:
+            self.reset(self.position)
+        return self.position
+
+    def _substep(self, h_s: float, elapsed_s: float, reference: Reference | None) -> None:
+        limits, gains = self._limits, self._gains
+        wanted = _wanted_velocity(self._p, elapsed_s, reference, gains.position_per_s, limits)
+        ax = gains.velocity_per_s * (wanted[0] - self._v[0])
+        ay = gains.velocity_per_s * (wanted[1] - self._v[1])
+        az = gains.velocity_per_s * (wanted[2] - self._v[2])
+        asked = math.sqrt(ax * ax + ay * ay + az * az)
+        # An acceleration that jerk can still take back before the wanted velocity is reached.
+        gap_um_per_s = asked / gains.velocity_per_s
+        bound = min(limits.acceleration_um_per_s2, math.sqrt(1.6 * limits.jerk_um_per_s3 * gap_um_per_s))
+        if asked > bound:
+            scale = bound / asked
+            ax, ay, az = ax * scale, ay * scale, az * scale
+        a, v, p = self._a, self._v, self._p
+        jx, jy, jz = ax - a[0], ay - a[1], az - a[2]
+        step = math.sqrt(jx * jx + jy * jy + jz * jz)
+        most = limits.jerk_um_per_s3 * h_s
+        if step > most:
+            scale = most / step
+            jx, jy, jz = jx * scale, jy * scale, jz * scale
+        for axis, jerk_step in enumerate((jx, jy, jz)):
+            a[axis] += jerk_step
+            v[axis] += a[axis] * h_s
+            p[axis] += v[axis] * h_s
+
+
+def _wanted_velocity(
+    p: list[float], elapsed_s: float, reference: Reference | None, gain_per_s: float, limits: Limits
+) -> tuple[float, float, float]:
+    if reference is None:
+        return (0.0, 0.0, 0.0)
+    target, feed = reference.position, reference.velocity_um_per_s
+    ex = target.x_um + feed[0] * elapsed_s - p[0]
+    ey = target.y_um + feed[1] * elapsed_s - p[1]
+    ez = target.z_um + feed[2] * elapsed_s - p[2]
+    error = math.sqrt(ex * ex + ey * ey + ez * ez)
+    # Far away the linear gain would ask for more than deceleration can take back: v = sqrt(a·e).
+    pull = min(gain_per_s, math.sqrt(limits.acceleration_um_per_s2 / max(error, 1e-9)))
+    wx, wy, wz = feed[0] + pull * ex, feed[1] + pull * ey, feed[2] + pull * ez
+    speed = math.sqrt(wx * wx + wy * wy + wz * wz)
+    if speed > reference.speed_um_per_s:
+        scale = reference.speed_um_per_s / speed
+        wx, wy, wz = wx * scale, wy * scale, wz * scale
+    return (wx, wy, wz)
