@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 from mrnav_server.core.frames import HandPoint, StagePoint
+from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.shaping import Reference
 
 
@@ -86,33 +87,22 @@ class HandControl:
         closing, self._closing = self._closing, False
         return closing
 
-    def on_sample(
-        self, point: HandPoint, *, clutch: bool, valid: bool, new_pose: bool, source_s: float, now_s: float
-    ) -> None:
-        """Take one accepted hand message.
-
-        Args:
-            point: Cumulative fingertip position.
-            clutch: Whether the clutch is closed.
-            valid: Whether the headset sees the hand; an invalid sample is silence and opens the clutch.
-            new_pose: False when the headset repeated its last pose: no motion, not new data.
-            source_s: The sender's time of the message, in its own clock.
-            now_s: When it arrived.
-        """
-        if not valid:
+    def on_sample(self, sample: HandSample) -> None:
+        """Take one accepted hand message; one that sees no hand is silence and opens the clutch."""
+        if not sample.valid:
             self._open_clutch()
             return
-        self._received_s = now_s
-        if clutch and not self._clutch:
+        self._received_s = sample.received_s
+        if sample.clutch and not self._clutch:
             self._closing = True
-        if not clutch:
+        if not sample.clutch:
             self._open_clutch()
-        self._clutch = clutch
-        if not new_pose:
+        self._clutch = sample.clutch
+        if not sample.new_pose:
             return
         if self._engaged and self._pose is not None:
-            self._add_increment(self._pose, point, source_s - self._pose_s)
-        self._pose, self._pose_s = point, source_s
+            self._add_increment(self._pose, sample.point, sample.sender_t_s - self._pose_s)
+        self._pose, self._pose_s = sample.point, sample.sender_t_s
 
     def engage(self, base: StagePoint, now_s: float) -> None:
         """Start following from ``base``: the hand's pose of this moment becomes zero."""
