@@ -1,11 +1,10 @@
 """Events: what happens once and must not be missed, next to the states, which are sampled."""
 
+from asyncio import Event as Flag
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
-
-from asyncio import Event as Flag
-from collections import deque
 
 Event = dict[str, Any]
 

@@ -80,9 +80,9 @@ class Recorder:
         return self._trial
 
     @property
-    def fault(self) -> str | None:
-        """Why the running trial is not being kept, in plain words; None while all is well."""
-        return self._writer.fault if self._writer else None
+    def fault(self) -> str:
+        """Why the running trial is not being kept, in plain words; "" while all is well."""
+        return self._writer.fault if self._writer else ""
 
     def recover(self) -> list[str]:
         """Mark the trials that a crash left open as interrupted; return their ids. Call once, at start."""
@@ -155,7 +155,7 @@ class _Writer(threading.Thread):
         self._unwritten = b""
         self._ending = threading.Event()
         self.lost_lines = 0
-        self.fault: str | None = None
+        self.fault = ""
 
     def append(self, line: bytes) -> None:
         if len(self._lines) >= _MAX_WAITING_LINES:
@@ -188,9 +188,9 @@ class _Writer(threading.Thread):
             self.fault = f"the trial's log cannot be written: {error.strerror}"
 
 
-def _shortage(folder: Path, min_free_mb: float) -> str | None:
-    """Return what is wrong with the free space, in plain words; None if there is enough."""
+def _shortage(folder: Path, min_free_mb: float) -> str:
+    """Return what is wrong with the free space, in plain words; "" if there is enough."""
     free_mb = shutil.disk_usage(folder).free / 1e6
     if free_mb >= min_free_mb:
-        return None
+        return ""
     return f"only {free_mb:.0f} MB are free for trials, {min_free_mb:.0f} MB are needed"

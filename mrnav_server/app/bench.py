@@ -1,0 +1,43 @@
+"""The devices on the bench, chosen by settings. Building touches none of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mrnav_server.core.frames import Calibration
+from mrnav_server.core.vessel import VesselMap
+from mrnav_server.devices.base import Camera, Manipulator
+from mrnav_server.settings import Settings
+from mrnav_server.sim.devices import SimulatedCamera, SimulatedManipulator
+from mrnav_server.sim.microscope import Microscope
+from mrnav_server.sim.world import SimulatedWorld
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Devices and what is known of how they stand to each other.
+
+    Attributes:
+        manipulator: Moves the magnet.
+        camera: Looks down on the vessel.
+        calibration: What the server goes by.
+        world: The simulated world behind the devices; None with real ones.
+    """
+
+    manipulator: Manipulator
+    camera: Camera
+    calibration: Calibration
+    world: SimulatedWorld | None
+
+
+def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float]) -> Bench:
+    """Build the devices that the settings name.
+
+    Args:
+        settings: ``rig.manipulator`` and ``rig.camera`` choose the drivers.
+        vessel: The vessel model.
+        clock: Monotonic time in seconds.
+    """
+    world = SimulatedWorld(settings.sim, vessel)
+    microscope = Microscope(settings.microscope, vessel, world.true_calibration, settings.sim.seed)
+    camera = SimulatedCamera(settings.sim, world.snapshot, microscope.render, clock)
+    return Bench(SimulatedManipulator(world), camera, world.calibration, world)

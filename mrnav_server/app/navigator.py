@@ -1,0 +1,101 @@
+"""Policy, planner and autopilot of one vessel; planning happens in a thread of its own."""
+
+import asyncio
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+from mrnav_server.autonomy.follower import Follower
+from mrnav_server.autonomy.path import PathPlanner, PlannedPath
+from mrnav_server.autonomy.policy import Policy, PolicyError
+from mrnav_server.core.frames import Calibration, VesselPoint
+from mrnav_server.core.vessel import VesselMap
+from mrnav_server.core.wire_twin import PolicyCard
+from mrnav_server.loops.autopilot import Autopilot, PathOrder
+from mrnav_server.settings import Settings
+from mrnav_server.vision.model_store import find_model
+
+
+class Navigator:
+    """Everything that autonomy needs.
+
+    Args:
+        settings: Sections ``rig``, ``path``, ``follower`` and ``autopilot``.
+        vessel: The vessel model.
+        calibration: How camera, vessel model and manipulator see each other.
+    """
+
+    def __init__(self, settings: Settings, vessel: VesselMap, calibration: Calibration) -> None:
+        self._config = settings.autopilot
+        self._path_config = settings.path
+        self._folder = find_model(settings.rig.vessel)
+        self._vessel = vessel
+        self._planner: PathPlanner | None = None
+        self._policy: Policy | None = None
+        self._thread = ThreadPoolExecutor(1, "planner")
+        self.policy_sha256 = ""
+        self._verdict = "not loaded yet"
+        self.autopilot = Autopilot(
+            settings.autopilot,
+            Follower(settings.follower, vessel, calibration),
+            settings.limits.autonomy_speed_um_per_s,
+            vessel.um_per_px,
+            "autonomy is still loading",
+        )
+
+    async def load(self) -> None:
+        """Verify and warm up the policy and build the planner; a bad policy leaves MANUAL working."""
+        await asyncio.get_running_loop().run_in_executor(self._thread, self._load)
+        wanted = self._config.source == "policy"
+        self.autopilot.refusal = self._verdict if wanted else ""
+
+    async def plan(self, start: VesselPoint, target: VesselPoint) -> PlannedPath:
+        """Plan the way to a target.
+
+        Raises:
+            RefusedError: If there is none.
+        """
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._plan, start, target)
+
+    async def plan_order(self, order: PathOrder) -> PlannedPath | None:
+        """Plan what the autopilot ordered; None if there is no way off the target."""
+        loop = asyncio.get_running_loop()
+        if order.back_off:
+            return await loop.run_in_executor(self._thread, self._plan_back_off, order)
+        return await self.plan(order.start, order.target)
+
+    def policy_cards(self) -> list[PolicyCard]:
+        """Return the policy of this vessel model and the baseline."""
+        return [
+            PolicyCard(self._folder.name, "torchscript", not self._verdict, self._verdict),
+            PolicyCard("geodesic", "geodesic", verified=True, reason=""),
+        ]
+
+    def close(self) -> None:
+        """End the planner's thread."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+    def _load(self) -> None:
+        from mrnav_server.autonomy.torchscript import load_policy
+
+        self._planner = PathPlanner(self._vessel, self._path_config)
+        try:
+            self._policy = load_policy(self._folder, self._vessel)
+            manifest = json.loads((self._folder / "manifest.json").read_text())
+            self.policy_sha256 = manifest["policy_sha256"]
+            self._verdict = ""
+        except PolicyError as error:
+            self._verdict = f"the policy cannot be used: {error}"
+
+    def _plan(self, start: VesselPoint, target: VesselPoint) -> PlannedPath:
+        policy = self._policy if self._config.source == "policy" else None
+        return self._ready_planner().plan(
+            start, target, policy, greedy=self._config.greedy, seed=self._config.seed
+        )
+
+    def _plan_back_off(self, order: PathOrder) -> PlannedPath | None:
+        return self._ready_planner().plan_back_off(order.start, order.target)
+
+    def _ready_planner(self) -> PathPlanner:
+        if self._planner is None:
+            raise RuntimeError("the navigator was not loaded")
+        return self._planner

@@ -1,0 +1,561 @@
+"""The rig: owns the devices and the loops, and answers the server.
+
+``Rig(settings)`` computes and reads files; only ``run`` acquires devices, and it opens last what must stop
+first.
+"""
+
+import asyncio
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from mrnav_server import __version__
+from mrnav_server.app.auth import Tokens
+from mrnav_server.app.bench import build_bench
+from mrnav_server.app.navigator import Navigator
+from mrnav_server.core import wire_twin
+from mrnav_server.core.areas import CriticalAreas
+from mrnav_server.core.errors import ConfigError, DeviceError, RefusedError
+from mrnav_server.core.frames import Calibration, ImagePoint, VesselPoint
+from mrnav_server.core.hand import HandControl
+from mrnav_server.core.hand_stream import HandSample
+from mrnav_server.core.lease import Lease
+from mrnav_server.core.modes import ARMED, Ask, Mode
+from mrnav_server.core.records import CriticalArea, Frame, RigState, Track
+from mrnav_server.core.wire_hand import Hello
+from mrnav_server.loops.control import ControlLoop
+from mrnav_server.loops.events import EventBus
+from mrnav_server.loops.hand_link import HandLinkServer
+from mrnav_server.loops.latest import Latest
+from mrnav_server.loops.recorder import Recorder
+from mrnav_server.loops.ticks import ticks
+from mrnav_server.loops.timing import Rate, RollingLatency
+from mrnav_server.loops.tracking import TrackingLoop
+from mrnav_server.loops.trial_log import TrialHeader, list_trials
+from mrnav_server.loops.trial_marks import TrialMarks
+from mrnav_server.settings import Settings
+from mrnav_server.vision.model_store import find_model
+from mrnav_server.vision.tracker import Tracker
+from mrnav_server.vision.vessel_model import load_vessel_model
+
+_PUBLISH_S = 1 / 60
+_WORLD_STEP_S = 0.002
+_CLOSE_S = 2.0
+
+
+class Rig:
+    """One manipulator, one camera, one operator, one vessel.
+
+    Args:
+        settings: With tokens (``Settings.with_tokens``).
+        clock: Monotonic time in seconds.
+
+    Raises:
+        ConfigError: If the vessel model cannot be used.
+    """
+
+    def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
+        self.settings = settings
+        self.vessel = load_vessel_model(find_model(settings.rig.vessel))
+        self.bench = build_bench(settings, self.vessel, clock)
+        self.states: Latest[RigState] = Latest()
+        self.frames: Latest[Frame] = Latest()
+        self.events = EventBus()
+        self.areas = CriticalAreas(self.vessel)
+        self.lease = Lease()
+        self.hand = HandControl(settings.hand, settings.limits.speed_um_per_s)
+        self.navigator = Navigator(settings, self.vessel, self.calibration)
+        self.control = ControlLoop(
+            settings.control,
+            settings.guards,
+            settings.limits,
+            self.bench.manipulator,
+            self.calibration,
+            self.vessel,
+            self.lease,
+            self.hand,
+            self.navigator.autopilot,
+            self._log,
+        )
+        self.marks = TrialMarks(settings.trial, self.vessel, self._announce)
+        self._clock = clock
+        self._trials = Path(settings.recording.root).absolute()
+        self._recorder = Recorder(self._trials, clock, settings.recording)
+        self.control.recorder_fault = lambda: self._recorder.fault or ""
+        self._tokens = Tokens(settings.server)
+        self._hand_link = HandLinkServer(
+            dataclasses.replace(
+                settings.hand_link, host=settings.server.host, port=settings.server.hand_port
+            ),
+            authorize=self._authorize,
+            acquire=self._acquire_hand,
+            on_sample=self._on_sample,
+            on_closed=self._on_hand_closed,
+            twin_source=lambda: self._twin,
+            clock=clock,
+            on_bad_numbers=self._on_bad_numbers,
+            limits={"speed_um_per_s": settings.limits.speed_um_per_s},
+            transform={"gain": settings.hand.gain, "vertical_gain": settings.hand.vertical_gain},
+        )
+        self._twin: Mapping[str, object] | None = None
+        self._seq = 0
+        self._camera_fault = ""
+        self._running = False
+        self._fresh_track = asyncio.Event()
+        self._frame_to_twin = RollingLatency()
+        self._tick = RollingLatency()
+        self._camera_rate, self._tick_rate = Rate(), Rate()
+        self._hand_rate, self._pose_rate = Rate(), Rate()
+        self._twinned_frame = -1
+
+    # -- what the server reads -------------------------------------------------------------------------
+
+    @property
+    def calibration(self) -> Calibration:
+        """How camera, vessel model and manipulator see each other."""
+        return self.bench.calibration
+
+    @property
+    def hand_port(self) -> int:
+        """The hand link's port; the real one once it runs."""
+        return self._hand_link.port
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the simulator stands in for the devices."""
+        return self.bench.world is not None
+
+    def snapshot(self, session: str, role: str) -> dict[str, Any]:
+        """Return the first message of a twin client."""
+        camera = self.settings.camera
+        card = wire_twin.RigCard(
+            name="simulated rig" if self.simulated else "rig",
+            simulated=self.simulated,
+            vessel=self.vessel,
+            calibration=self.calibration,
+            limits={
+                name: value
+                for name, value in dataclasses.asdict(self.settings.limits).items()
+                if isinstance(value, float)
+            },
+            camera_width_px=camera.width_px,
+            camera_height_px=camera.height_px,
+            camera_fps=camera.fps,
+        )
+        cards = self.navigator.policy_cards()
+        return wire_twin.snapshot(session, role, card, cards, self.areas.list(), self.states.value)
+
+    def policies(self) -> list[dict[str, Any]]:
+        """Describe the policies and whether they were verified."""
+        return [dataclasses.asdict(card) for card in self.navigator.policy_cards()]
+
+    def readiness(self) -> list[str]:
+        """Return why the rig is not ready; empty when it is."""
+        reasons = [] if self._running else ["the rig is starting or has stopped"]
+        if self._camera_fault:
+            reasons.append(self._camera_fault)
+        if self.control.facts.fault:
+            reasons.append(self.control.facts.fault)
+        return reasons
+
+    def to_vessel(self, frame: str, x: float, y: float) -> VesselPoint:
+        """Map a point of the vessel, image or stage frame into the vessel's grid."""
+        if frame == "image":
+            return self.calibration.vessel_point(ImagePoint(x, y))
+        if frame == "stage":
+            return VesselPoint(*self.calibration.stage_from_vessel.inverse()(x, y))
+        return VesselPoint(x, y)
+
+    # -- what clients ask ------------------------------------------------------------------------------
+
+    async def ask(self, name: str, session: str, area: str | None) -> None:
+        """Ask for a mode.
+
+        Raises:
+            RefusedError: With the reason.
+        """
+        ask = Ask(name)
+        if ask is Ask.STOP:
+            self.stop_now(session)
+            return
+        now_s = self._clock()
+        self.lease.hear(session, now_s)
+        if ask is not Ask.HOLD:
+            self._require_lease(session)
+        if ask is Ask.AUTO:
+            await self._prepare_auto(area)
+        self.control.submit(ask, self._clock())
+        self._publish()
+
+    def stop_now(self, session: str) -> None:
+        """Stop the manipulator at once; anyone may, and nothing is waited for."""
+        self.bench.manipulator.stop()
+        self._log("event", {"event": "stop", "session": session})
+        self.control.submit(Ask.STOP, self._clock())
+        self._publish()
+
+    def take_lease(self, session: str, client: str) -> None:
+        """Sit down at the console.
+
+        Raises:
+            RefusedError: While another console has it.
+        """
+        self.lease.take_console(session, client, self._clock())
+        self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
+
+    def give_lease(self, session: str) -> None:
+        """Give control back."""
+        self.lease.give_back(session)
+        self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
+
+    def heartbeat(self, session: str) -> None:
+        """Note that a page is alive and watched."""
+        self.lease.hear(session, self._clock())
+
+    def trials(self) -> list[dict[str, Any]]:
+        """Describe the trials on disk, oldest first."""
+        return [
+            {"id": info.id, "status": info.status, **dataclasses.asdict(info.header)}
+            for info in list_trials(self._trials)
+        ]
+
+    async def start_trial(
+        self, participant: str, condition: str, operator_kind: str, notes: str
+    ) -> dict[str, Any]:
+        """Begin a trial: its log, its marks and its latencies start now.
+
+        Raises:
+            RefusedError: While another runs, or if it cannot be recorded.
+        """
+        area, robot = self.control.area, self.control.robot
+        header = TrialHeader(
+            participant=participant,
+            condition=condition,  # type: ignore[arg-type] # checked by the schema
+            operator_kind=operator_kind,  # type: ignore[arg-type] # checked by the schema
+            simulated_rig=self.simulated,
+            software_version=__version__,
+            configuration_sha256=self.settings.digest(),
+            vessel=self.vessel.name,
+            vessel_sha256=self.vessel.digest,
+            um_per_px=self.vessel.um_per_px,
+            calibration=wire_twin.calibration_fields(self.calibration),
+            start_px=(robot.x_px, robot.y_px) if robot else None,
+            area_id=area.id if area else None,
+            area_px=(area.center.x_px, area.center.y_px) if area else None,
+            area_epsilon_um=area.epsilon_um if area else None,
+            policy_sha256=self.navigator.policy_sha256,
+            seeds={"sim": self.settings.sim.seed, "policy": self.settings.autopilot.seed},
+            notes=notes,
+        )
+        trial_id = self._recorder.start_trial(header)
+        self.marks.restart()
+        for latency in (self.control.hand_to_command, self._frame_to_twin, self._tick):
+            latency.clear()
+        self._announce("trial", {"mark": "start", "id": trial_id})
+        return {"id": trial_id, "folder": str(self._trials / trial_id)}
+
+    async def end_trial(self, trial_id: str) -> dict[str, Any]:
+        """End the running trial and return its marks and latencies; its log is safe on disk.
+
+        Raises:
+            RefusedError: If this trial is not the running one.
+        """
+        if trial_id != self._recorder.trial:
+            raise RefusedError("no_such_trial", f"trial {trial_id!r} is not running")
+        distance_um = self.control.distance_um
+        summary = self.marks.summary() | {
+            "id": trial_id,
+            "final_distance_um": distance_um,
+            "latency_ms": {name: dataclasses.asdict(value) for name, value in self._latencies().items()},
+            "counters": self._counters(),
+            "simulated": self.simulated,
+        }
+        if self.bench.world is not None:
+            truth = self.bench.world
+            summary["simulated_truth"] = {"collisions": truth.collisions, "lifted": truth.lifted}
+        self._announce("trial", {"mark": "end", **summary})
+        folder = await self._recorder.end_trial()
+        return summary | {"folder": str(folder)}
+
+    # -- running ---------------------------------------------------------------------------------------
+
+    async def run(self, started: asyncio.Event) -> None:
+        """Own the devices until cancelled; sets ``started`` once they are open.
+
+        Raises:
+            ConfigError: If a device cannot be opened or a port is taken.
+        """
+        # An import or a first inference during control would stall it for up to seconds.
+        await self.navigator.load()
+        await asyncio.to_thread(_warm_up)
+        self._recorder.recover()
+        manipulator, camera, world = self.bench.manipulator, self.bench.camera, self.bench.world
+        if world is not None:
+            world.set_time(self._clock())
+        try:
+            camera.open()
+            await manipulator.open()
+        except DeviceError as error:
+            camera.close()
+            raise ConfigError(f"cannot start the rig: {error}") from None
+        tracking = TrackingLoop(
+            camera, Tracker(self.settings.tracker, self.calibration), self._on_track, self._on_camera
+        )
+        try:
+            async with asyncio.TaskGroup() as group:
+                if world is not None:
+                    group.create_task(self._run_world(), name="simulated world")
+                group.create_task(tracking.run(), name="tracking")
+                group.create_task(self._run_control(), name="control")
+                group.create_task(self._run_twin(), name="twin")
+                group.create_task(self._run_planner(), name="planner")
+                listening = asyncio.Event()
+                group.create_task(self._hand_link.run(listening), name="hand link")
+                await listening.wait()
+                self._running = True
+                started.set()
+        except* ConfigError as errors:
+            raise errors.exceptions[0] from None
+        finally:
+            self._running = False
+            manipulator.stop()
+            async with asyncio.timeout(_CLOSE_S):
+                await asyncio.shield(manipulator.close())
+                await asyncio.shield(self._recorder.end_trial())
+            self.navigator.close()
+
+    async def _run_world(self) -> None:
+        """The simulator's thin clock."""
+        world = self.bench.world
+        async for now_s in ticks(_WORLD_STEP_S, self._clock):
+            if world is not None:
+                world.advance(max(0.0, now_s - world.time_s))
+
+    async def _run_control(self) -> None:
+        before_s: float | None = None
+        async for now_s in ticks(self.settings.control.tick_s, self._clock):
+            if before_s is not None:
+                self._tick.add(now_s - before_s)
+            before_s = now_s
+            self._tick_rate.add(now_s)
+            self._step(now_s)
+
+    async def _run_twin(self) -> None:
+        """Publish at every fresh track, and at 60 Hz in between."""
+        while True:
+            try:
+                async with asyncio.timeout(_PUBLISH_S):
+                    await self._fresh_track.wait()
+            except TimeoutError:
+                pass
+            self._fresh_track.clear()
+            self._publish()
+
+    async def _run_planner(self) -> None:
+        """Plan the paths that the autopilot orders while it drives."""
+        async for _ in ticks(0.01, self._clock):
+            order = self.navigator.autopilot.order
+            if order is not None:
+                path = await self.navigator.plan_order(order)
+                self.navigator.autopilot.deliver(order, path)
+
+    def _step(self, now_s: float) -> None:
+        before = self.control.machine.mode
+        commands = self.control.counters["commands"]
+        self.control.step(now_s)
+        self._after_step(before, commands, now_s)
+
+    def _after_step(self, before: Mode, commands: int, now_s: float) -> None:
+        """Announce what a step changed."""
+        mode = self.control.machine.mode
+        if self.control.counters["commands"] > commands:
+            self.marks.on_motion(now_s)
+        if mode is before:
+            return
+        if before not in ARMED and mode in ARMED and self._recorder.trial is None:
+            self.marks.restart()
+        self._announce(
+            "mode", {"before": before.value, "mode": mode.value, "reason": self.control.machine.reason}
+        )
+        if before is Mode.AUTO and mode is Mode.MANUAL:
+            by = "takeover" if self.hand.engaged else "arrival"
+            self._announce("handover", {"by": by, "distance_um": self.control.distance_um})
+        if mode is Mode.FAULT:
+            self._announce("fault", {"reason": self.control.machine.reason})
+
+    # -- callbacks of the loops ------------------------------------------------------------------------
+
+    def _on_track(self, frame: Frame, track: Track) -> None:
+        self.frames.put(frame)
+        self.control.on_track(track)
+        self._camera_rate.add(self._clock())
+        self.marks.on_track(track, self.control.machine.mode, self.control.distance_um)
+        vessel = track.vessel
+        self._log(
+            "track",
+            {
+                "taken_s": track.taken_s,
+                "state": track.state.value,
+                "vessel": None if vessel is None else [round(vessel.x_px, 4), round(vessel.y_px, 4)],
+                "confidence": round(track.confidence, 3),
+                "sigma_um": round(track.sigma_um, 3),
+            },
+        )
+        self._fresh_track.set()
+
+    def _on_camera(self, fault: str) -> None:
+        self._camera_fault = fault
+        self._announce("fault", {"reason": fault or "the camera works again"})
+
+    def _authorize(self, token: str) -> str | None:
+        role = self._tokens.role(token)
+        return None if role is None else role.name.lower()
+
+    def _acquire_hand(self, session: str, hello: Hello) -> bool:
+        try:
+            self.lease.take_hand(session, hello.client or "hand", self._clock())
+        except RefusedError:
+            return False
+        self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
+        return True
+
+    def _on_sample(self, sample: HandSample) -> None:
+        if not self.lease.is_hand(sample.session):
+            return
+        now_s = self._clock()
+        self.lease.hear(sample.session, now_s)
+        self._hand_rate.add(now_s)
+        if sample.new_pose:
+            self._pose_rate.add(now_s)
+        self.hand.on_sample(sample)
+        point = sample.point
+        self._log(
+            "hand",
+            {
+                "seq": sample.seq,
+                "sender_s": sample.sender_t_s,
+                "received_s": sample.received_s,
+                "p_m": [round(point.x_m, 6), round(point.y_m, 6), round(point.z_m, 6)],
+                "clutch": sample.clutch,
+                "valid": sample.valid,
+                "new_pose": sample.new_pose,
+            },
+        )
+        before, commands = self.control.machine.mode, self.control.counters["commands"]
+        self.control.on_hand(sample.received_s, now_s)
+        self._after_step(before, commands, now_s)
+
+    def _on_bad_numbers(self, session: str) -> None:
+        if self.lease.is_hand(session) and self.control.machine.mode in ARMED:
+            self.control.submit(Ask.HOLD, self._clock())
+            self._announce("fault", {"reason": "the hand sends numbers that are not finite: holding"})
+
+    def _on_hand_closed(self, session: str) -> None:
+        if self.lease.is_hand(session):
+            self.hand.lose()
+            self.lease.give_back(session)
+            self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
+
+    # -- helpers ---------------------------------------------------------------------------------------
+
+    async def _prepare_auto(self, area_id: str | None) -> None:
+        """Choose the area and plan the way there, before AUTO is entered."""
+        area = self._chosen_area(area_id)
+        self.control.choose_area(area)
+        self.control.check(Ask.AUTO, self._clock())
+        robot = self.control.robot
+        if robot is None:
+            raise RefusedError("guard", "the robot is not seen")
+        path = await self.navigator.plan(robot, area.center)
+        self.navigator.autopilot.prepare(path, area.center)
+        if path.fallback:
+            self._announce("fault", {"reason": f"the geodesic stands in: {path.fallback}"})
+
+    def _chosen_area(self, area_id: str | None) -> CriticalArea:
+        if area_id is not None:
+            return self.areas.get(area_id)
+        if self.control.area is not None:
+            return self.control.area
+        areas = self.areas.list()
+        if len(areas) != 1:
+            raise RefusedError(
+                "no_area", "name the critical area: " + (", ".join(a.id for a in areas) or "mark one")
+            )
+        return areas[0]
+
+    def _require_lease(self, session: str) -> None:
+        if not self.lease.holds(session):
+            holder = self.lease.state().client
+            who = f"{holder} has control" if holder else "nobody has control"
+            raise RefusedError("no_lease", f"{who}: take the lease first")
+
+    def _latencies(self) -> dict[str, Any]:
+        return {
+            "hand_to_command": self.control.hand_to_command.percentiles(),
+            "frame_to_twin": self._frame_to_twin.percentiles(),
+            "tick": self._tick.percentiles(),
+        }
+
+    def _counters(self) -> dict[str, int]:
+        return self.control.counters | dict(self._hand_link.counters)
+
+    def _publish(self) -> None:
+        now_s = self._clock()
+        state = self._state(now_s)
+        self.states.put(state)
+        self._twin = wire_twin.twin_state(state, self.calibration)
+        track = state.track
+        if track is not None and track.frame_number != self._twinned_frame:
+            self._twinned_frame = track.frame_number
+            self._frame_to_twin.add(self._clock() - track.taken_s)
+
+    def _state(self, now_s: float) -> RigState:
+        control, machine, facts = self.control, self.control.machine, self.control.facts
+        track, tip = control.track, control.tip
+        self._seq += 1
+        return RigState(
+            seq=self._seq,
+            t_s=now_s,
+            tip=tip.position if tip else None,
+            setpoint=control.setpoint,
+            tip_px=self.calibration.tip_in_image(tip.position) if tip else None,
+            track=track,
+            track_age_ms=1000.0 * (now_s - track.taken_s) if track else 0.0,
+            mode=machine.mode,
+            severity=machine.severity(facts),
+            reason=machine.reason or facts.warning,
+            authority=0.0 if machine.mode is Mode.AUTO else 1.0,
+            lease=self.lease.state(),
+            clutch=self.hand.clutch,
+            auto_ready=machine.mode in ARMED and not facts.auto_refusal and not facts.fault,
+            auto_refusal=facts.fault or facts.auto_refusal or ("" if machine.mode in ARMED else "arm first"),
+            time_to_handover_s=self.navigator.autopilot.remaining_s,
+            critical_area=control.area.id if control.area else None,
+            distance_um=control.distance_um,
+            lead_um=control.lead_um,
+            collisions=self.marks.collisions,
+            path=self.navigator.autopilot.path_px,
+            latency_ms=self._latencies(),
+            rates_hz={
+                "camera": self._camera_rate.hz(now_s),
+                "hand": self._hand_rate.hz(now_s),
+                "hand_poses": self._pose_rate.hz(now_s),
+                "tick": self._tick_rate.hz(now_s),
+            },
+            counters=self._counters(),
+            trial=self._recorder.trial,
+        )
+
+    def _announce(self, name: str, fields: Mapping[str, object]) -> None:
+        """Tell everybody what happened, and record it."""
+        self.events.publish(wire_twin.event(name, self._clock(), fields))
+        self._log("event" if name != "trial" else "trial", {"event": name, **fields})
+
+    def _log(self, topic: str, data: Mapping[str, object]) -> None:
+        self._recorder.record(topic, data)
+
+
+def _warm_up() -> None:
+    """Import what the first control step would otherwise wait for."""
