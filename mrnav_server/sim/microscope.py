@@ -1,0 +1,144 @@
+"""The simulated microscope: what the camera sees of the vessel, the robot and the end-effector."""
+
+from dataclasses import dataclass, fields
+
+import cv2
+import numpy as np
+
+from mrnav_server.core.arrays import ByteArray
+from mrnav_server.core.errors import ConfigError
+from mrnav_server.core.frames import Calibration, StagePoint, VesselPoint
+from mrnav_server.core.vessel import VesselMap
+from mrnav_server.sim.backdrop import backdrop, linear_scale
+from mrnav_server.sim.occluder import NeedleShape, Occluder
+from mrnav_server.sim.sprites import Region, SphereSprite
+
+_POOL_MARGIN_PX = 64
+"""The noise pool is larger than the picture by this much, so that random crops of it look fresh."""
+
+
+@dataclass(frozen=True)
+class MicroscopeConfig:
+    """The simulated microscope and what it looks past.
+
+    Attributes:
+        width_px: Image width, 64..8192.
+        height_px: Image height, 64..8192.
+        noise: Standard deviation of the camera's noise in gray levels, 0..20. At 0 a still scene gives
+            identical frames, which the tracker takes for a frozen camera.
+        rim_blur_px: Softness of the robot's rim in pixels, 0.3..5.
+        pupil_um: Diameter of the camera's entrance pupil in µm, 100..20000; it sets the needle's blur.
+        magnet_diameter_um: The magnet in µm, 100..5000.
+        magnet_length_um: The magnet in µm, 100..10000.
+        needle_diameter_um: The needle that carries it in µm, 50..5000.
+        needle_tilt_deg: Its tilt from the vertical in degrees, 0..80.
+        needle_azimuth_deg: Direction in the image in which it rises, clockwise from the right, -360..360.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
+
+    width_px: int = 1600
+    height_px: int = 1200
+    noise: float = 3.0
+    rim_blur_px: float = 1.4
+    pupil_um: float = 3000.0
+    magnet_diameter_um: float = 1000.0
+    magnet_length_um: float = 2000.0
+    needle_diameter_um: float = 450.0
+    needle_tilt_deg: float = 45.0
+    needle_azimuth_deg: float = -15.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            low, high = _RANGES[field.name]
+            value = getattr(self, field.name)
+            if not low <= value <= high:
+                raise ConfigError(f"microscope {field.name} is {value}: set it to {low:g}..{high:g}")
+
+
+_RANGES = {
+    "width_px": (64, 8192),
+    "height_px": (64, 8192),
+    "noise": (0, 20),
+    "rim_blur_px": (0.3, 5),
+    "pupil_um": (100, 20_000),
+    "magnet_diameter_um": (100, 5000),
+    "magnet_length_um": (100, 10_000),
+    "needle_diameter_um": (50, 5000),
+    "needle_tilt_deg": (0, 80),
+    "needle_azimuth_deg": (-360, 360),
+}
+
+
+class Microscope:
+    """Renders camera pictures of a rig.
+
+    The floor is painted once. A frame paints the robot and the occluder on it, adds noise to the whole in
+    one saturated addition (noise by region would draw a box that a tracker could see), and then restores
+    only what was painted over.
+
+    Args:
+        config: The microscope.
+        vessel: What lies under it.
+        calibration: Where things appear.
+        seed: Seeds the texture and the noise.
+    """
+
+    def __init__(
+        self, config: MicroscopeConfig, vessel: VesselMap, calibration: Calibration, seed: int
+    ) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._calibration = calibration
+        width, height = config.width_px, config.height_px
+        # Unsigned noise around this level; everything painted is lowered by it first.
+        offset = round(4 * config.noise)
+        floor = backdrop(vessel, calibration.image_from_vessel, width, height, self._rng)
+        self._floor = cv2.subtract(floor, np.full_like(floor, offset)).astype(np.uint8)
+        self._scene = self._floor.copy()
+        self._pool = self._noise_pool(config, offset)
+        self._crop = 0
+        radius_px = vessel.robot_radius_px * linear_scale(calibration.image_from_vessel)
+        self._sphere = SphereSprite(radius_px, config.rim_blur_px, offset)
+        shape = NeedleShape(
+            magnet_diameter_um=config.magnet_diameter_um,
+            magnet_length_um=config.magnet_length_um,
+            needle_diameter_um=config.needle_diameter_um,
+            tilt_deg=config.needle_tilt_deg,
+            azimuth_deg=config.needle_azimuth_deg,
+            pupil_um=config.pupil_um,
+        )
+        self._occluder = Occluder(shape, calibration, width, height, offset)
+
+    def render(self, robot: VesselPoint | None, tip: StagePoint) -> ByteArray:
+        """Return the picture of a robot and a tip.
+
+        Args:
+            robot: The robot's centre; None when there is none on the floor.
+            tip: The magnet's centre.
+
+        Returns:
+            Shape (height, width, 3), BGR, uint8; a new array each time, so other threads may keep it.
+        """
+        painted: list[Region] = []
+        if robot is not None:
+            touched = self._sphere.paint(self._scene, self._calibration.image_point(robot))
+            if touched is not None:
+                painted.append(touched)
+        painted += self._occluder.paint(self._scene, tip)
+        picture = np.empty_like(self._scene)
+        height, width = picture.shape[:2]
+        # Never the crop of the picture before: a still scene would look like a frozen camera.
+        self._crop = (self._crop + int(self._rng.integers(1, _POOL_MARGIN_PX**2))) % _POOL_MARGIN_PX**2
+        row, column = divmod(self._crop, _POOL_MARGIN_PX)
+        cv2.add(self._scene, self._pool[row : row + height, column : column + width], picture)
+        for region in painted:
+            self._scene[region] = self._floor[region]
+        return picture
+
+    def _noise_pool(self, config: MicroscopeConfig, offset: int) -> ByteArray:
+        """Return noise around ``offset``: three quarters common to the channels, as demosaicing leaves it."""
+        shape = (config.height_px + _POOL_MARGIN_PX, config.width_px + _POOL_MARGIN_PX)
+        pool = self._rng.standard_normal((*shape, 3), np.float32) * np.float32(0.66 * config.noise)
+        pool += self._rng.standard_normal((*shape, 1), np.float32) * np.float32(0.75 * config.noise)
+        pool += np.float32(offset)
+        return np.clip(np.rint(pool, out=pool), 0.0, 255.0, out=pool).astype(np.uint8)
