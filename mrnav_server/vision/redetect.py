@@ -1,0 +1,68 @@
+"""Finds the robot anywhere in a picture: a template on a small copy proposes, the rim fit disposes."""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from mrnav_server.core.arrays import ByteArray, Float32Array
+from mrnav_server.vision.rim import RimEstimate, RimFit
+
+_CANDIDATES = 6
+_MATCH_MIN = 0.35
+_CERTAIN = 0.75
+"""A candidate as good as this ends the search."""
+
+
+class Redetector:
+    """Searches a whole picture for a disc of known radius, darker than what surrounds it.
+
+    Args:
+        rim: The fit that verifies candidates.
+        radius_tolerance: Share by which the fitted radius may differ from the known one.
+    """
+
+    def __init__(self, rim: RimFit, radius_tolerance: float) -> None:
+        self._rim = rim
+        self._tolerance_px = radius_tolerance * rim.radius_px
+        # A quarter of the scale, unless the disc would shrink to fewer than about five pixels of radius.
+        self._step = int(np.clip(rim.radius_px // 5.0, 1, 4))
+        radius_px = rim.radius_px / self._step
+        half = int(radius_px) + 6
+        grid = np.arange(-half, half + 1, dtype=np.float32)
+        inside = np.clip(radius_px - np.hypot(grid[None, :], grid[:, None]) + 0.5, 0.0, 1.0)
+        self._template: Float32Array = (-inside).astype(np.float32)
+        self._half = half
+        self._blank_px = max(1, round(0.8 * radius_px))
+
+    def find(self, image: ByteArray) -> RimEstimate | None:
+        """Return the best disc, or None if no candidate has the right radius and any agreeing rim.
+
+        Args:
+            image: Shape (height, width, 3), BGR, uint8.
+        """
+        gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
+        best: RimEstimate | None = None
+        for x_px, y_px in self._candidates(gray):
+            found = self._rim.fit(gray, x_px, y_px)
+            if abs(found.radius_px - self._rim.radius_px) > self._tolerance_px or found.confidence == 0.0:
+                continue
+            if best is None or found.confidence > best.confidence:
+                best = found
+            if best.confidence > _CERTAIN:
+                break
+        return best
+
+    def _candidates(self, gray: ByteArray) -> Iterator[tuple[float, float]]:
+        """Yield where the template fits best, best first, in full-scale pixels."""
+        step, half = self._step, self._half
+        small = cv2.resize(gray, (gray.shape[1] // step, gray.shape[0] // step), interpolation=cv2.INTER_AREA)
+        # A robot at the picture's edge would have no place for the template's centre otherwise.
+        small = cv2.copyMakeBorder(small, half, half, half, half, cv2.BORDER_REPLICATE).astype(np.float32)
+        match = cv2.matchTemplate(small, self._template, cv2.TM_CCOEFF_NORMED)
+        for _ in range(_CANDIDATES):
+            _, score, _, (column, row) = cv2.minMaxLoc(match)
+            if score < _MATCH_MIN:
+                return
+            cv2.circle(match, (column, row), self._blank_px, -1.0, -1)
+            yield (column + 0.5) * step - 0.5, (row + 0.5) * step - 0.5
