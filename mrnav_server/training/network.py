@@ -1,0 +1,156 @@
+"""The policy and critic networks. The policy takes raw grid pixels, so that it exports as one module."""
+
+import math
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from mrnav_server.autonomy.policy import FORBIDDEN_LOGIT
+from mrnav_server.core.arrays import ByteArray
+from mrnav_server.core.navigation import ACTIONS
+from mrnav_server.core.vessel import VesselMap
+
+Encoding = Literal["raw", "fourier"]
+
+
+class Features(nn.Module):
+    """Turns the 6 raw numbers into network inputs.
+
+    ``raw``: the 6 numbers scaled to -1..1. ``fourier`` (61 numbers): position and target, their sines and
+    cosines at 6 octaves, the way to the target at three scales, its direction and its length; the start is
+    dropped, since the task does not depend on it.
+
+    Args:
+        encoding: Which of the two.
+        size_px: Side of the vessel's grid in pixels.
+    """
+
+    frequencies: Tensor
+
+    def __init__(self, encoding: Encoding, size_px: int, octaves: int = 6) -> None:
+        super().__init__()
+        self.raw: bool = encoding == "raw"
+        self.half_px: float = size_px / 2
+        self.width: int = 6 if self.raw else 13 + 8 * octaves
+        self.register_buffer("frequencies", 2.0 ** torch.arange(octaves) * math.pi / size_px)
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Map shape (n, 6) in grid pixels to shape (n, width)."""
+        if self.raw:
+            return observations / self.half_px - 1.0
+        points = torch.cat([observations[:, 0:2], observations[:, 4:6]], 1)
+        angles = (points.unsqueeze(2) * self.frequencies).flatten(1)
+        way = observations[:, 4:6] - observations[:, 0:2]
+        length = torch.sqrt((way * way).sum(1, keepdim=True) + 1e-3)
+        return torch.cat(
+            [
+                points / self.half_px - 1.0,
+                torch.sin(angles),
+                torch.cos(angles),
+                way / self.half_px,
+                torch.clamp(way / 200.0, -1.0, 1.0),
+                torch.clamp(way / 30.0, -1.0, 1.0),
+                way / length,
+                length / self.half_px,
+            ],
+            1,
+        )
+
+
+class PolicyNetwork(nn.Module):
+    """Observation in raw pixels to 40 logits, with the vessel's wall inside.
+
+    The wall is a map of three levels (0 blocked, 1 free, 2 free with a margin), two bits a pixel. Only the
+    actions of the best level within reach are allowed; the margin makes the policy forgiving of noise, delay
+    and step size.
+
+    Args:
+        vessel: The vessel model.
+        encoding: See `Features`.
+        hidden: Width of the two hidden layers.
+        masked: Whether the wall is inside; without, the policy must learn it.
+        margin_px: Gap to the wall that the upper level asks for; keep it under 10.
+    """
+
+    actions: Tensor
+    packed_levels: Tensor
+
+    def __init__(
+        self,
+        vessel: VesselMap,
+        encoding: Encoding = "fourier",
+        hidden: int = 128,
+        masked: bool = True,
+        margin_px: float = 5.0,
+    ) -> None:
+        super().__init__()
+        self.features = Features(encoding, vessel.size_px)
+        self.head = _perceptron(self.features.width, hidden, len(ACTIONS), 0.01, tanh=encoding == "raw")
+        self.masked: bool = masked
+        self.size_px: int = vessel.size_px
+        self.forbidden: float = float(FORBIDDEN_LOGIT)
+        self.register_buffer("actions", torch.tensor(ACTIONS))
+        levels = wall_levels(vessel, margin_px) if masked else np.zeros((1, 4), np.uint8)
+        self.register_buffer("packed_levels", torch.from_numpy(_pack(levels)))
+
+    def allowed(self, observations: Tensor) -> Tensor:
+        """Return the actions of the best level within reach, shape (n, 6) to shape (n, 40), bool."""
+        reached = observations[:, 0:2].round().long().unsqueeze(1) + self.actions
+        inside = ((reached >= 0) & (reached < self.size_px)).all(2)
+        reached = reached.clamp(0, self.size_px - 1)
+        x, y = reached[:, :, 0], reached[:, :, 1]
+        levels = (self.packed_levels[y, x // 4].long() >> (2 * (x % 4))) & 3
+        levels = levels * inside
+        return levels == levels.amax(1, keepdim=True)
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Map observations, shape (n, 6), to logits, shape (n, 40)."""
+        logits: Tensor = self.head(self.features(observations))
+        if self.masked:
+            logits = logits.masked_fill(~self.allowed(observations), self.forbidden)
+        return logits
+
+
+class Critic(nn.Module):
+    """Value of a state from the policy's features."""
+
+    def __init__(self, width: int, hidden: int, tanh: bool) -> None:
+        super().__init__()
+        self.head = _perceptron(width, hidden, 1, 1.0, tanh=tanh)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Map shape (n, width) to shape (n,)."""
+        value: Tensor = self.head(features)
+        return value.squeeze(1)
+
+
+def wall_levels(vessel: VesselMap, margin_px: float) -> ByteArray:
+    """Return 0 where blocked, 1 where free, 2 where free with a margin; shape (size, size)."""
+    roomy = vessel.distance_px - vessel.robot_radius_px > margin_px
+    levels: ByteArray = vessel.free.astype(np.uint8) * (1 + roomy.astype(np.uint8))
+    return levels
+
+
+def _pack(levels: ByteArray) -> ByteArray:
+    """Pack two-bit values, shape (h, w), into bytes, shape (h, ceil(w / 4))."""
+    padded = np.pad(levels, ((0, 0), (0, -levels.shape[1] % 4)))
+    quads = padded.reshape(len(padded), -1, 4)
+    packed: ByteArray = (quads << np.array([0, 2, 4, 6], np.uint8)).sum(axis=2).astype(np.uint8)
+    return packed
+
+
+def _perceptron(inputs: int, hidden: int, outputs: int, gain: float, *, tanh: bool) -> nn.Sequential:
+    """Return two hidden layers with orthogonal weights and an output layer of the given gain."""
+    layers: list[nn.Module] = []
+    for width in (inputs, hidden):
+        layers += [_linear(width, hidden, math.sqrt(2)), nn.Tanh() if tanh else nn.ReLU()]
+    return nn.Sequential(*layers, _linear(hidden, outputs, gain))
+
+
+def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
