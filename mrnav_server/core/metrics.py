@@ -138,7 +138,7 @@ def trial_metrics(trial: Trial) -> TrialMetrics:
         smoothness=smooth,
         smoothness_floor=smooth_floor,
         smoothness_near_floor=smooth.value - smooth_floor < NEAR_FLOOR,
-        contacts=contacts(trial.t_s[inside], clearance_um),
+        contacts=len(contact_starts(trial.t_s[inside], clearance_um)),
         min_clearance_um=float(known.min()) if known.size else _NAN,
         log_dimensionless_jerk=log_dimensionless_jerk(longest, RATE_HZ),
         spectral_arc_length=spectral_arc_length(longest, RATE_HZ),
@@ -250,15 +250,21 @@ def smoothness_floor(sigma_um: float, peak_speed_um_per_s: float) -> float:
         return float(np.log10(2.0 * (237.0 * sigma_um) ** 2 / np.float64(peak_speed_um_per_s) ** 2))
 
 
-def contacts(t_s: FloatArray, clearance_um: FloatArray) -> int:
-    """Return the number of wall contacts.
+def contact_starts(t_s: FloatArray, clearance_um: FloatArray) -> list[int]:
+    """Return the samples at which a wall contact begins; their number is C.
+
+    Args:
+        t_s: Shape (n,), rising.
+        clearance_um: Gap between the robot's rim and the wall, shape (n,); NaN where unknown.
 
     Source: study metric (e), collisions C.
     """
     counter = ContactCounter()
-    for now_s, clearance in zip(t_s.tolist(), clearance_um.tolist(), strict=True):
-        counter.step(clearance, now_s)
-    return counter.count
+    return [
+        index
+        for index, (now_s, gap_um) in enumerate(zip(t_s.tolist(), clearance_um.tolist(), strict=True))
+        if counter.step(gap_um, now_s)
+    ]
 
 
 def log_dimensionless_jerk(speed: FloatArray, rate_hz: float) -> float:

@@ -84,7 +84,7 @@ def segments(t_s: FloatArray, xy_um: FloatArray) -> list[Segment]:
     newest_s = np.concatenate([[-np.inf], np.maximum.accumulate(t_s)[:-1]])
     fresh = t_s > newest_s + _SAME_STAMP_S
     t_s, xy_um = t_s[fresh], xy_um[fresh]
-    cuts = np.flatnonzero(np.diff(t_s) > MAX_GAP_S) + 1
+    cuts = np.flatnonzero(np.diff(t_s) > MAX_GAP_S + 1e-6) + 1
     pieces = zip(np.split(t_s, cuts), np.split(xy_um, cuts), strict=True)
     return [_resampled(piece_s, piece_um) for piece_s, piece_um in pieces if piece_s.size >= 4]
 

@@ -7,6 +7,7 @@ number that is not finite becomes null.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from mrnav_server.core.frames import Calibration, ImagePoint, StagePoint, VesselPoint
 from mrnav_server.core.records import CriticalArea, Percentiles, RigState
@@ -142,7 +143,7 @@ def twin_state(state: RigState, calibration: Calibration) -> dict[str, object]:
         "distance_um": _rounded(state.distance_um, 1),
         "lead_um": _rounded(state.lead_um, 1),
         "collisions": state.collisions,
-        "path": [_pair(x, y, 1) for x, y in _thinned(state.path)],
+        "path": _path_fields(state.path),
         "latency_ms": {name: _percentiles(value) for name, value in state.latency_ms.items()},
         "rates_hz": {name: _rounded(value, 1) for name, value in state.rates_hz.items()},
         "counters": dict(state.counters),
@@ -195,6 +196,12 @@ def calibration_fields(calibration: Calibration) -> dict[str, object]:
     }
 
 
+# States come far more often than paths.
+@lru_cache(maxsize=8)
+def _path_fields(path: tuple[tuple[float, float], ...]) -> tuple[tuple[float | None, float | None], ...]:
+    return tuple((_rounded(x, 1), _rounded(y, 1)) for x, y in _thinned(path))
+
+
 def _thinned(path: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
     """Return at most 64 points, evenly picked, both ends kept."""
     last = len(path) - 1
@@ -213,8 +220,8 @@ def _pixels(point: ImagePoint | VesselPoint | None) -> list[float | None] | None
     return None if point is None else _pair(point.x_px, point.y_px)
 
 
-def _pair(x: float, y: float, digits: int = 2) -> list[float | None]:
-    return [_rounded(x, digits), _rounded(y, digits)]
+def _pair(x: float, y: float) -> list[float | None]:
+    return [_rounded(x, 2), _rounded(y, 2)]
 
 
 def _percentiles(value: Percentiles) -> dict[str, float | None]:

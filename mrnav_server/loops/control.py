@@ -104,6 +104,7 @@ class ControlLoop:
         self._tip: TipReading | None = None
         self._area: CriticalArea | None = None
         self._device_fault = ""
+        self._supervised_by_hand = False
         self._stepped_s: float | None = None
         self._sample_s: float | None = None
         self._facts = Facts(leased=False, hand_fresh=False, clutch_closing=False, at_rest=True, arrived=False)
@@ -246,6 +247,8 @@ class ControlLoop:
 
     def _auto_refusal(self, hand_fresh: bool, recorder_fault: str, now_s: float) -> str:
         """Return the first guard of AUTO that is not satisfied, or ""."""
+        if self._supervised_by_hand and not hand_fresh:
+            return "nobody supervises: the hand is silent"
         supervised = hand_fresh or self._lease.console_heard_within(self._guards.console_s, now_s)
         return (
             ("" if self._lease.held else "nobody controls the rig: take the lease first")
@@ -283,6 +286,8 @@ class ControlLoop:
             self.shaper.reset(self._tip.position)
         if change.after is not Mode.MANUAL:
             self._hand.release()
+        # Whoever began AUTO must stay: a console does not stand in for a hand that was lost on the way.
+        self._supervised_by_hand = change.after is Mode.AUTO and self._lease.state().hand
         if change.after is Mode.AUTO and self._seen is not None and self._tip is not None:
             self._autopilot.begin(self._seen, self._tip, now_s)
 

@@ -105,14 +105,13 @@ class Recorder:
             if shortage:
                 raise RefusedError("disk_full", f"{shortage}; free some or set another trials folder")
             folder.mkdir()
-            self._writer = _Writer(folder / LOG_NAME, self._config)
+            self._writer = _Writer(folder / LOG_NAME, header_line(trial_id, header), self._config)
         except OSError as error:
             raise RefusedError("disk_error", f"{folder} cannot be written: {error.strerror}") from None
         # Wall time follows the monotonic clock from here on: a clock that is set back reorders nothing.
         self._wall_offset_s = now.timestamp() - self._clock()
         self._seq = 0
         self._trial = trial_id
-        self._writer.append(header_line(trial_id, header))
         self._writer.start()
         return trial_id
 
@@ -141,16 +140,17 @@ class Recorder:
 
 
 class _Writer(threading.Thread):
-    """Writes queued lines every ``flush_s``, and syncs at the end.
+    """Writes the header at once and queued lines every ``flush_s``, and syncs at the end.
 
     What a write did not take stays first in line, so the file is always a prefix of the log.
     """
 
-    def __init__(self, path: Path, config: RecorderConfig) -> None:
+    def __init__(self, path: Path, header: bytes, config: RecorderConfig) -> None:
         super().__init__(name="recorder", daemon=True)
         self._config = config
         self._folder = path.parent
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        os.write(self._file, header)
         self._lines: deque[bytes] = deque()
         self._unwritten = b""
         self._ending = threading.Event()
