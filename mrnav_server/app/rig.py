@@ -15,6 +15,8 @@ from mrnav_server import __version__
 from mrnav_server.app.auth import Tokens
 from mrnav_server.app.bench import build_bench
 from mrnav_server.app.navigator import Navigator
+from mrnav_server.app.reporting import ReportError, trial_report
+from mrnav_server.app.telemetry import Telemetry
 from mrnav_server.core import wire_twin
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import ConfigError, DeviceError, RefusedError
@@ -31,11 +33,11 @@ from mrnav_server.loops.hand_link import HandLinkServer
 from mrnav_server.loops.latest import Latest
 from mrnav_server.loops.recorder import Recorder
 from mrnav_server.loops.ticks import ticks
-from mrnav_server.loops.timing import Rate, RollingLatency
 from mrnav_server.loops.tracking import TrackingLoop
 from mrnav_server.loops.trial_log import TrialHeader, list_trials
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
+from mrnav_server.sim.world import SimulatedWorld
 from mrnav_server.vision.model_store import find_model
 from mrnav_server.vision.tracker import Tracker
 from mrnav_server.vision.vessel_model import load_vessel_model
@@ -80,6 +82,9 @@ class Rig:
             self._log,
         )
         self.marks = TrialMarks(settings.trial, self.vessel, self._announce)
+        self.telemetry = Telemetry(
+            self.control, self.navigator.autopilot, self.hand, self.lease, self.marks, self.calibration
+        )
         self._clock = clock
         self._trials = Path(settings.recording.root).absolute()
         self._recorder = Recorder(self._trials, clock, settings.recording)
@@ -104,11 +109,6 @@ class Rig:
         self._camera_fault = ""
         self._running = False
         self._fresh_track = asyncio.Event()
-        self._frame_to_twin = RollingLatency()
-        self._tick = RollingLatency()
-        self._camera_rate, self._tick_rate = Rate(), Rate()
-        self._hand_rate, self._pose_rate = Rate(), Rate()
-        self._twinned_frame = -1
 
     # -- what the server reads -------------------------------------------------------------------------
 
@@ -229,6 +229,9 @@ class Rig:
         Raises:
             RefusedError: While another runs, or if it cannot be recorded.
         """
+        areas = self.areas.list()
+        if self.control.area is None and len(areas) == 1:
+            self.control.choose_area(areas[0])
         area, robot = self.control.area, self.control.robot
         header = TrialHeader(
             participant=participant,
@@ -251,13 +254,12 @@ class Rig:
         )
         trial_id = self._recorder.start_trial(header)
         self.marks.restart()
-        for latency in (self.control.hand_to_command, self._frame_to_twin, self._tick):
-            latency.clear()
+        self.telemetry.restart()
         self._announce("trial", {"mark": "start", "id": trial_id})
         return {"id": trial_id, "folder": str(self._trials / trial_id)}
 
     async def end_trial(self, trial_id: str) -> dict[str, Any]:
-        """End the running trial and return its marks and latencies; its log is safe on disk.
+        """End the running trial; return its marks, latencies and metrics. Its log is safe on disk.
 
         Raises:
             RefusedError: If this trial is not the running one.
@@ -268,7 +270,7 @@ class Rig:
         summary = self.marks.summary() | {
             "id": trial_id,
             "final_distance_um": distance_um,
-            "latency_ms": {name: dataclasses.asdict(value) for name, value in self._latencies().items()},
+            "latency_ms": self.telemetry.summary(),
             "counters": self._counters(),
             "simulated": self.simulated,
         }
@@ -277,7 +279,13 @@ class Rig:
             summary["simulated_truth"] = {"collisions": truth.collisions, "lifted": truth.lifted}
         self._announce("trial", {"mark": "end", **summary})
         folder = await self._recorder.end_trial()
-        return summary | {"folder": str(folder)}
+        if folder is None:
+            return summary
+        try:
+            report: dict[str, Any] = await trial_report(folder)
+        except ReportError as error:
+            report = {"report_error": str(error)}
+        return report | summary | {"folder": str(folder)}
 
     # -- running ---------------------------------------------------------------------------------------
 
@@ -289,11 +297,8 @@ class Rig:
         """
         # An import or a first inference during control would stall it for up to seconds.
         await self.navigator.load()
-        await asyncio.to_thread(_warm_up)
         self._recorder.recover()
         manipulator, camera, world = self.bench.manipulator, self.bench.camera, self.bench.world
-        if world is not None:
-            world.set_time(self._clock())
         try:
             camera.open()
             await manipulator.open()
@@ -306,7 +311,7 @@ class Rig:
         try:
             async with asyncio.TaskGroup() as group:
                 if world is not None:
-                    group.create_task(self._run_world(), name="simulated world")
+                    group.create_task(self._run_world(world), name="simulated world")
                 group.create_task(tracking.run(), name="tracking")
                 group.create_task(self._run_control(), name="control")
                 group.create_task(self._run_twin(), name="twin")
@@ -321,26 +326,26 @@ class Rig:
         finally:
             self._running = False
             manipulator.stop()
+            self._announce("rig_stopped", {"mode": self.control.machine.mode.value})
             async with asyncio.timeout(_CLOSE_S):
                 await asyncio.shield(manipulator.close())
                 await asyncio.shield(self._recorder.end_trial())
             self.navigator.close()
 
-    async def _run_world(self) -> None:
+    async def _run_world(self, world: SimulatedWorld) -> None:
         """The simulator's thin clock."""
-        world = self.bench.world
+        before_s = self._clock()
+        world.set_time(before_s)
         async for now_s in ticks(_WORLD_STEP_S, self._clock):
-            if world is not None:
-                world.advance(max(0.0, now_s - world.time_s))
+            world.advance(now_s - before_s)
+            before_s = now_s
 
     async def _run_control(self) -> None:
-        before_s: float | None = None
         async for now_s in ticks(self.settings.control.tick_s, self._clock):
-            if before_s is not None:
-                self._tick.add(now_s - before_s)
-            before_s = now_s
-            self._tick_rate.add(now_s)
-            self._step(now_s)
+            self.telemetry.on_tick(now_s)
+            before, commands = self.control.machine.mode, self.control.counters["commands"]
+            self.control.step(now_s)
+            self._after_step(before, commands, now_s)
 
     async def _run_twin(self) -> None:
         """Publish at every fresh track, and at 60 Hz in between."""
@@ -360,12 +365,6 @@ class Rig:
             if order is not None:
                 path = await self.navigator.plan_order(order)
                 self.navigator.autopilot.deliver(order, path)
-
-    def _step(self, now_s: float) -> None:
-        before = self.control.machine.mode
-        commands = self.control.counters["commands"]
-        self.control.step(now_s)
-        self._after_step(before, commands, now_s)
 
     def _after_step(self, before: Mode, commands: int, now_s: float) -> None:
         """Announce what a step changed."""
@@ -390,7 +389,7 @@ class Rig:
     def _on_track(self, frame: Frame, track: Track) -> None:
         self.frames.put(frame)
         self.control.on_track(track)
-        self._camera_rate.add(self._clock())
+        self.telemetry.camera.add(self._clock())
         self.marks.on_track(track, self.control.machine.mode, self.control.distance_um)
         vessel = track.vessel
         self._log(
@@ -426,9 +425,9 @@ class Rig:
             return
         now_s = self._clock()
         self.lease.hear(sample.session, now_s)
-        self._hand_rate.add(now_s)
+        self.telemetry.hand_messages.add(now_s)
         if sample.new_pose:
-            self._pose_rate.add(now_s)
+            self.telemetry.hand_poses.add(now_s)
         self.hand.on_sample(sample)
         point = sample.point
         self._log(
@@ -491,62 +490,14 @@ class Rig:
             who = f"{holder} has control" if holder else "nobody has control"
             raise RefusedError("no_lease", f"{who}: take the lease first")
 
-    def _latencies(self) -> dict[str, Any]:
-        return {
-            "hand_to_command": self.control.hand_to_command.percentiles(),
-            "frame_to_twin": self._frame_to_twin.percentiles(),
-            "tick": self._tick.percentiles(),
-        }
-
     def _counters(self) -> dict[str, int]:
         return self.control.counters | dict(self._hand_link.counters)
 
     def _publish(self) -> None:
-        now_s = self._clock()
-        state = self._state(now_s)
+        state = self.telemetry.state(self._clock(), self._counters(), self._recorder.trial)
         self.states.put(state)
         self._twin = wire_twin.twin_state(state, self.calibration)
-        track = state.track
-        if track is not None and track.frame_number != self._twinned_frame:
-            self._twinned_frame = track.frame_number
-            self._frame_to_twin.add(self._clock() - track.taken_s)
-
-    def _state(self, now_s: float) -> RigState:
-        control, machine, facts = self.control, self.control.machine, self.control.facts
-        track, tip = control.track, control.tip
-        self._seq += 1
-        return RigState(
-            seq=self._seq,
-            t_s=now_s,
-            tip=tip.position if tip else None,
-            setpoint=control.setpoint,
-            tip_px=self.calibration.tip_in_image(tip.position) if tip else None,
-            track=track,
-            track_age_ms=1000.0 * (now_s - track.taken_s) if track else 0.0,
-            mode=machine.mode,
-            severity=machine.severity(facts),
-            reason=machine.reason or facts.warning,
-            authority=0.0 if machine.mode is Mode.AUTO else 1.0,
-            lease=self.lease.state(),
-            clutch=self.hand.clutch,
-            auto_ready=machine.mode in ARMED and not facts.auto_refusal and not facts.fault,
-            auto_refusal=facts.fault or facts.auto_refusal or ("" if machine.mode in ARMED else "arm first"),
-            time_to_handover_s=self.navigator.autopilot.remaining_s,
-            critical_area=control.area.id if control.area else None,
-            distance_um=control.distance_um,
-            lead_um=control.lead_um,
-            collisions=self.marks.collisions,
-            path=self.navigator.autopilot.path_px,
-            latency_ms=self._latencies(),
-            rates_hz={
-                "camera": self._camera_rate.hz(now_s),
-                "hand": self._hand_rate.hz(now_s),
-                "hand_poses": self._pose_rate.hz(now_s),
-                "tick": self._tick_rate.hz(now_s),
-            },
-            counters=self._counters(),
-            trial=self._recorder.trial,
-        )
+        self.telemetry.on_published(state.track, self._clock())
 
     def _announce(self, name: str, fields: Mapping[str, object]) -> None:
         """Tell everybody what happened, and record it."""
@@ -555,7 +506,3 @@ class Rig:
 
     def _log(self, topic: str, data: Mapping[str, object]) -> None:
         self._recorder.record(topic, data)
-
-
-def _warm_up() -> None:
-    """Import what the first control step would otherwise wait for."""

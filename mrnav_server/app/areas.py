@@ -1,0 +1,72 @@
+"""REST routes of the critical areas."""
+
+import time
+from typing import Any
+
+from fastapi import APIRouter, Response
+
+from mrnav_server.app.context import AppContext, Context, Operator
+from mrnav_server.app.schemas import AreaBody
+from mrnav_server.core.frames import VesselPoint
+from mrnav_server.core.records import CriticalArea
+from mrnav_server.core.wire_twin import area_fields, event
+
+router = APIRouter(prefix="/critical-areas", tags=["critical areas"])
+
+
+@router.get("")
+async def list_areas(parts: Context) -> list[dict[str, Any]]:
+    """Return all critical areas, oldest first."""
+    return _fields(parts)
+
+
+@router.post("", status_code=201)
+async def add_area(parts: Context, body: AreaBody, _: Operator, response: Response) -> dict[str, Any]:
+    """Mark a critical area; 409 with the reason where the robot cannot go."""
+    area = parts.rig.areas.add(_center(parts, body), body.epsilon_um, body.label)
+    response.headers["Location"] = f"/api/v1/critical-areas/{area.id}"
+    return _changed(parts, area)
+
+
+@router.get("/{area_id}")
+async def get_area(parts: Context, area_id: str) -> dict[str, Any]:
+    """Return one critical area."""
+    return area_fields(parts.rig.areas.get(area_id), _active(parts))
+
+
+@router.put("/{area_id}")
+async def replace_area(parts: Context, area_id: str, body: AreaBody, _: Operator) -> dict[str, Any]:
+    """Change a critical area; 409 with the reason where the robot cannot go."""
+    return _changed(
+        parts, parts.rig.areas.replace(area_id, _center(parts, body), body.epsilon_um, body.label)
+    )
+
+
+@router.delete("/{area_id}", status_code=204)
+async def remove_area(parts: Context, area_id: str, _: Operator) -> None:
+    """Forget a critical area."""
+    parts.rig.areas.remove(area_id)
+    _tell(parts)
+
+
+def _center(parts: AppContext, body: AreaBody) -> VesselPoint:
+    return parts.rig.to_vessel(body.center.frame, body.center.x, body.center.y)
+
+
+def _changed(parts: AppContext, area: CriticalArea) -> dict[str, Any]:
+    _tell(parts)
+    return area_fields(area, _active(parts))
+
+
+def _tell(parts: AppContext) -> None:
+    parts.rig.events.publish(event("areas", time.monotonic(), {"critical_areas": _fields(parts)}))
+
+
+def _fields(parts: AppContext) -> list[dict[str, Any]]:
+    active = _active(parts)
+    return [area_fields(area, active) for area in parts.rig.areas.list()]
+
+
+def _active(parts: AppContext) -> str | None:
+    state = parts.rig.states.value
+    return state.critical_area if state else None

@@ -1,0 +1,107 @@
+"""What the web side needs of a rig; ``app/rig.py`` gives it, tests give a small one."""
+
+import asyncio
+from typing import Any, Protocol
+
+from mrnav_server.core.frames import Calibration, VesselPoint
+from mrnav_server.core.records import CriticalArea, Frame, RigState
+from mrnav_server.core.vessel import VesselMap
+from mrnav_server.loops.events import EventBus
+from mrnav_server.loops.latest import Latest
+from mrnav_server.settings import Settings
+
+
+class Areas(Protocol):
+    """The critical areas; every change may raise RefusedError with the reason."""
+
+    def list(self) -> list[CriticalArea]:
+        """Return all areas, oldest first."""
+
+    def get(self, area_id: str) -> CriticalArea:
+        """Return one area."""
+
+    def add(self, center: VesselPoint, epsilon_um: float, label: str) -> CriticalArea:
+        """Mark an area."""
+
+    def replace(self, area_id: str, center: VesselPoint, epsilon_um: float, label: str) -> CriticalArea:
+        """Change an area."""
+
+    def remove(self, area_id: str) -> None:
+        """Forget an area."""
+
+
+class RigPort(Protocol):
+    """A rig as the server sees it. Asks raise RefusedError with the reason."""
+
+    @property
+    def settings(self) -> Settings:
+        """The settings that the rig was built from."""
+
+    @property
+    def vessel(self) -> VesselMap:
+        """The vessel model."""
+
+    @property
+    def calibration(self) -> Calibration:
+        """How camera, vessel model and manipulator see each other."""
+
+    @property
+    def states(self) -> Latest[RigState]:
+        """The newest state, at least 60 a second."""
+
+    @property
+    def frames(self) -> Latest[Frame]:
+        """The newest camera picture."""
+
+    @property
+    def events(self) -> EventBus:
+        """What happens once."""
+
+    @property
+    def areas(self) -> Areas:
+        """The critical areas."""
+
+    @property
+    def hand_port(self) -> int:
+        """The hand link's port, once started."""
+
+    def snapshot(self, session: str, role: str) -> dict[str, Any]:
+        """Return the twin's first message."""
+
+    def to_vessel(self, frame: str, x: float, y: float) -> VesselPoint:
+        """Map a point of the vessel, image or stage frame into the vessel's grid."""
+
+    async def ask(self, name: str, session: str, area: str | None) -> None:
+        """Ask for a mode."""
+
+    def stop_now(self, session: str) -> None:
+        """Stop the manipulator. Waits behind nothing."""
+
+    def take_lease(self, session: str, client: str) -> None:
+        """Take control."""
+
+    def give_lease(self, session: str) -> None:
+        """Give control back."""
+
+    def heartbeat(self, session: str) -> None:
+        """Note that a page is alive and watched."""
+
+    def policies(self) -> list[dict[str, Any]]:
+        """Describe the policies and whether they were verified."""
+
+    def readiness(self) -> list[str]:
+        """Return why the rig is not ready; empty when it is."""
+
+    async def start_trial(
+        self, participant: str, condition: str, operator_kind: str, notes: str
+    ) -> dict[str, Any]:
+        """Begin a trial."""
+
+    async def end_trial(self, trial_id: str) -> dict[str, Any]:
+        """End a trial and return its result."""
+
+    def trials(self) -> list[dict[str, Any]]:
+        """Describe the trials on disk, newest last."""
+
+    async def run(self, started: asyncio.Event) -> None:
+        """Own the devices until cancelled; sets ``started`` once they are open."""

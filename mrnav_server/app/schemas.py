@@ -1,0 +1,73 @@
+"""Bodies of requests. Strict: no conversion, no NaN, no unknown field."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Ask = Literal["arm", "disarm", "manual", "auto", "hold", "stop", "reset"]
+Identifier = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.-]+$")]
+Session = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
+Label = Annotated[str, Field(max_length=80)]
+
+
+class _Body(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Point(_Body):
+    """A point in the frame that the client has at hand: vessel and image in px, stage in µm."""
+
+    frame: Literal["vessel", "image", "stage"]
+    x: float
+    y: float
+
+
+class AreaBody(_Body):
+    """A critical area: its centre and the radius within which the task counts as arrived."""
+
+    center: Point
+    epsilon_um: Annotated[float, Field(gt=0)] = 500.0
+    label: Label = ""
+
+
+class ModeBody(_Body):
+    """An ask for a mode; ``auto`` goes to a critical area."""
+
+    ask: Ask
+    area: Identifier | None = None
+
+
+class LeaseBody(_Body):
+    """Taking or giving back control.
+
+    ``session`` is the one that the snapshot or the welcome named; without it the header's counts. ``client``
+    is the name under which others see the holder.
+    """
+
+    session: Session | None = None
+    client: Label = "page"
+
+
+class TrialBody(_Body):
+    """A trial of a study."""
+
+    participant: Identifier
+    condition: Literal["with_autonomy", "without_autonomy"]
+    operator_kind: Literal["human", "simulated"] = "human"
+    notes: Annotated[str, Field(max_length=2000)] = ""
+
+
+class Heartbeat(_Body):
+    """An operator's page is alive."""
+
+    type: Literal["heartbeat"]
+
+
+class AskMessage(ModeBody):
+    """An ask for a mode over ``/ws/twin``."""
+
+    type: Literal["ask"]
+
+
+TwinMessage = Annotated[Heartbeat | AskMessage, Field(discriminator="type")]
+"""What a client may send over ``/ws/twin``."""

@@ -1,0 +1,220 @@
+"""The process: signals, the rig and the web server, each stopped in its turn."""
+
+import asyncio
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import orjson
+import uvicorn
+from fastapi import FastAPI
+
+from mrnav_server.app import connections
+from mrnav_server.app.rig_port import RigPort
+from mrnav_server.app.server import create_app
+from mrnav_server.core.errors import ConfigError
+from mrnav_server.settings import ServerConfig, Settings
+
+_SWITCH_INTERVAL_S = 0.0005
+_GRACE_S = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """What a client needs to come in.
+
+    Attributes:
+        url: The page, with the operator's token.
+        port: Page, WebSockets, video and REST.
+        hand_port: Hand link.
+        operator_token: Lets its bearer control the rig.
+        viewer_token: Lets its bearer watch, and stop.
+    """
+
+    url: str
+    port: int
+    hand_port: int
+    operator_token: str
+    viewer_token: str
+
+
+class RigServer(uvicorn.Server):
+    """uvicorn without its hands on the signals: the process decides what stops first."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave signals alone."""
+        yield
+
+
+def serve(
+    build_rig: Callable[[Settings], RigPort],
+    settings: Settings,
+    announce: Callable[[Ready], None],
+    ready_file: Path | None = None,
+) -> None:
+    """Run a rig and its server until SIGTERM or SIGINT.
+
+    Args:
+        build_rig: Builds the rig; touches no device.
+        settings: Tokens that are missing are made.
+        announce: Told once clients may come.
+        ready_file: Gets what ``announce`` is told, as a line of JSON, readable by this user alone.
+
+    Raises:
+        ConfigError: If a port is taken, or the rig cannot be built from the settings.
+    """
+    # Threads that compute (JPEG, tracking) give the interpreter back in time for a 10 ms control tick.
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    settings = settings.with_tokens()
+    if ready_file is not None:
+        ready_file.unlink(missing_ok=True)
+    with bound_socket(settings.server.host, settings.server.port) as listener:
+        try:
+            asyncio.run(_process(build_rig(settings), settings, listener, announce, ready_file))
+        except BaseExceptionGroup as group:
+            config = group.subgroup(ConfigError)
+            if config is None:
+                raise
+            raise _leaf(config) from None
+        finally:
+            if ready_file is not None:
+                ready_file.unlink(missing_ok=True)
+
+
+async def _process(
+    rig: RigPort,
+    settings: Settings,
+    listener: socket.socket,
+    announce: Callable[[Ready], None],
+    ready_file: Path | None,
+) -> None:
+    app = create_app(rig, settings)
+    server = RigServer(_uvicorn_config(app, settings.server))
+    started = asyncio.Event()
+
+    async def run_rig() -> None:
+        await rig.run(started)
+        raise RuntimeError("the rig ended by itself")
+
+    async def run_web() -> None:
+        await started.wait()
+        listener.listen()
+        ready = _ready(settings.server, listener, rig.hand_port)
+        if ready_file is not None:
+            _write_privately(ready_file, orjson.dumps(ready) + b"\n")
+        announce(ready)
+        await server.serve([listener])
+
+    with _stop_signals() as stop:
+        try:
+            async with asyncio.TaskGroup() as process:
+                moving = process.create_task(run_rig(), name="rig")
+                web = process.create_task(run_web(), name="web")
+                await stop.wait()
+                # What moves stops first; clients still see how it ends.
+                moving.cancel()
+                await asyncio.wait({moving})
+                server.should_exit = True
+                if not server.started:
+                    web.cancel()
+        finally:
+            app.state.context.encoder.close()
+
+
+def _uvicorn_config(app: FastAPI, config: ServerConfig) -> uvicorn.Config:
+    return uvicorn.Config(
+        app,
+        http=connections.TimedHttp,
+        ws=connections.TimedWebSocket,
+        ws_max_size=4096,
+        ws_ping_interval=connections.PING_S,
+        ws_ping_timeout=connections.PONG_DEADLINE_S,
+        ws_per_message_deflate=False,
+        lifespan="off",
+        # uvicorn's own lines hold URLs, and URLs may hold tokens.
+        log_config=None,
+        log_level="warning",
+        access_log=False,
+        proxy_headers=False,
+        server_header=False,
+        limit_concurrency=512,
+        h11_max_incomplete_event_size=16_384,
+        timeout_graceful_shutdown=_GRACE_S,
+        ssl_certfile=config.tls_certificate,
+        ssl_keyfile=config.tls_key,
+    )
+
+
+@contextmanager
+def bound_socket(host: str, port: int) -> Iterator[socket.socket]:
+    """Hold a TCP port for a ``with`` block; it does not listen yet.
+
+    Args:
+        host: Address or name.
+        port: 0 takes a free one.
+
+    Raises:
+        ConfigError: If the address is unknown or the port is taken.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise ConfigError(f"server.host {host!r} is no address of this machine ({error})") from None
+    with listener:
+        if os.name == "posix":
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, connections.SEND_BUFFER_BYTES)
+        try:
+            listener.bind(address)
+        except OSError as error:
+            raise ConfigError(
+                f"{host} port {port} cannot be used ({error.strerror}): choose another one"
+            ) from None
+        yield listener
+
+
+def _ready(config: ServerConfig, listener: socket.socket, hand_port: int) -> Ready:
+    port = listener.getsockname()[1]
+    scheme = "https" if config.tls_certificate else "http"
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(config.host, config.host)
+    host = f"[{host}]" if ":" in host else host
+    operator, viewer = config.operator_token or "", config.viewer_token or ""
+    return Ready(f"{scheme}://{host}:{port}/?token={operator}", port, hand_port, operator, viewer)
+
+
+def _write_privately(file: Path, content: bytes) -> None:
+    """Write a file that appears whole and that this user alone can read."""
+    part = file.with_name(f".{file.name}.{os.getpid()}")
+    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as out:
+        out.write(content)
+    part.replace(file)
+
+
+@contextmanager
+def _stop_signals() -> Iterator[asyncio.Event]:
+    """Give an event that SIGTERM and SIGINT set, however often they come."""
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+
+    def told(_: int, __: FrameType | None) -> None:
+        loop.call_soon_threadsafe(stop.set)
+
+    before = {number: signal.signal(number, told) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _leaf(group: BaseExceptionGroup[ConfigError]) -> ConfigError:
+    first = group.exceptions[0]
+    return _leaf(first) if isinstance(first, BaseExceptionGroup) else first

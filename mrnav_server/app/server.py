@@ -1,0 +1,69 @@
+"""The web application: routes, guards and pages around a rig."""
+
+from html import escape
+from typing import Any
+
+import cv2
+import numpy as np
+from fastapi import FastAPI
+from fastapi.responses import HTMLResponse
+
+from mrnav_server import __version__
+from mrnav_server.app import api
+from mrnav_server.app.auth import Gate
+from mrnav_server.app.context import AppContext
+from mrnav_server.app.guards import BoundedBodies, SecurityHeaders, content_policy
+from mrnav_server.app.pages import Pages, pages_folder
+from mrnav_server.app.problems import install_problems
+from mrnav_server.app.rig_port import RigPort
+from mrnav_server.app.twin import TwinHub
+from mrnav_server.app.video import VideoEncoder, VideoHub
+from mrnav_server.settings import Settings
+
+_OPENAPI = "/api/v1/openapi.json"
+
+
+def create_app(rig: RigPort, settings: Settings) -> FastAPI:
+    """Return the web application of a rig. Touches no device and starts nothing.
+
+    Args:
+        rig: The rig; it need not run yet.
+        settings: Their tokens must be set (``Settings.with_tokens``).
+    """
+    app = FastAPI(
+        title="mrnav-server", version=__version__, openapi_url=_OPENAPI, docs_url=None, redoc_url=None
+    )
+    gate = Gate(settings.server)
+    encoder = VideoEncoder(rig.frames)
+    _, png = cv2.imencode(".png", rig.vessel.lumen.astype(np.uint8) * 255)
+    app.state.context = AppContext(rig, gate, TwinHub(rig), encoder, VideoHub(encoder), png.tobytes())
+    install_problems(app)
+    for router in (api.health, api.streams, api.api):
+        app.include_router(router)
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> HTMLResponse:
+        return HTMLResponse(_docs(app.openapi()))
+
+    folder = pages_folder()
+    app.mount("/static", Pages(folder, gate.tokens), name="static")
+    app.mount("/", Pages(folder, gate.tokens), name="pages")
+    app.add_middleware(BoundedBodies)
+    app.add_middleware(SecurityHeaders, policy=content_policy(folder))
+    return app
+
+
+def _docs(openapi: dict[str, Any]) -> str:
+    """Return the REST interface as a page that needs nothing from elsewhere, unlike the usual viewers."""
+    rows = [
+        f"<tr><td>{method.upper()}</td><td><code>{escape(path)}</code></td>"
+        f"<td>{escape(operation.get('description', ''))}</td></tr>"
+        for path, operations in openapi["paths"].items()
+        for method, operation in operations.items()
+    ]
+    return (
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>mrnav-server: REST interface</title>'
+        "<style>body{font:15px system-ui;margin:2rem}td{padding:.3rem 1rem .3rem 0}</style>"
+        f'<h1>REST interface</h1><p>Schema: <a href="{_OPENAPI}">OpenAPI</a>.</p>'
+        f"<table>{''.join(rows)}</table></html>"
+    )

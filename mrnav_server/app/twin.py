@@ -1,0 +1,178 @@
+"""``/ws/twin``: a snapshot, then sampled states and every event; asks and heartbeats come back.
+
+Each client has its own place in the newest-wins stream, so nobody waits for anybody.
+"""
+
+import asyncio
+import logging
+import secrets
+import time
+from typing import Any
+
+import orjson
+from fastapi import WebSocket, WebSocketDisconnect
+from pydantic import TypeAdapter, ValidationError
+
+from mrnav_server.app.auth import OPERATORS_ONLY, Principal, Role
+from mrnav_server.app.problems import ApiError
+from mrnav_server.app.rig_port import RigPort
+from mrnav_server.app.schemas import AskMessage, Heartbeat, TwinMessage
+from mrnav_server.core.errors import RefusedError, WireError
+from mrnav_server.core.peer_limits import TokenBucket
+from mrnav_server.core.records import RigState
+from mrnav_server.core.wire_twin import twin_state
+from mrnav_server.loops.events import LaggingReaderError, Subscription
+
+SLOW_READER_S = 2.0
+_MAX_CLIENTS = 64
+_MESSAGES_PER_S = 120.0
+_MAX_WAITING_ASKS = 8
+_MESSAGE: TypeAdapter[Heartbeat | AskMessage] = TypeAdapter(TwinMessage)
+_log = logging.getLogger(__name__)
+
+
+class TwinHub:
+    """Serves the twin stream to many clients; each state is encoded once.
+
+    Args:
+        rig: The rig.
+    """
+
+    def __init__(self, rig: RigPort) -> None:
+        self._rig = rig
+        self._encoded = (0, "")
+        self.clients = 0
+        self.slow_readers = 0
+
+    async def serve(self, websocket: WebSocket, principal: Principal, rate_hz: float) -> None:
+        """Talk to one client until it leaves, lags or breaks the protocol.
+
+        Args:
+            websocket: Not yet accepted.
+            principal: Its role is checked for every message.
+            rate_hz: States a second at most.
+
+        Raises:
+            ApiError: 503 if too many clients are connected.
+        """
+        if self.clients >= _MAX_CLIENTS:
+            raise ApiError(503, "too_many_clients", f"{_MAX_CLIENTS} clients watch already")
+        self.clients += 1
+        client = _Client(self._rig, websocket, principal.role)
+        try:
+            await websocket.accept()
+            with self._rig.events.subscribe() as events:
+                async with asyncio.TaskGroup() as group:
+                    # Whoever waits for a connection must not wait for the first state too.
+                    await client.send(orjson.dumps(client.snapshot()).decode())
+                    group.create_task(self._send_states(client, rate_hz), name="twin states")
+                    group.create_task(client.send_events(events), name="twin events")
+                    group.create_task(client.receive(), name="twin messages")
+                    group.create_task(client.obey(), name="twin asks")
+        except* WebSocketDisconnect:
+            pass
+        except* (TimeoutError, LaggingReaderError):
+            # No close frame: it would wait behind what this client does not read.
+            self.slow_readers += 1
+            _log.warning("a twin client that did not read for %g s was dropped", SLOW_READER_S)
+        except* WireError as errors:
+            await client.close(errors)
+        finally:
+            self.clients -= 1
+
+    async def _send_states(self, client: "_Client", rate_hz: float) -> None:
+        version, due_s = 0, time.monotonic()
+        while True:
+            state, version = await self._rig.states.newer_than(version)
+            await client.send(self._text(state, version))
+            now_s = time.monotonic()
+            due_s = max(due_s + 1.0 / rate_hz, now_s - 1.0 / rate_hz)
+            await asyncio.sleep(max(0.0, due_s - now_s))
+
+    def _text(self, state: RigState, version: int) -> str:
+        """Return a state as JSON; the clients that come for the same version share it."""
+        if self._encoded[0] != version:
+            self._encoded = version, orjson.dumps(twin_state(state, self._rig.calibration)).decode()
+        return self._encoded[1]
+
+
+class _Client:
+    """One connection: sends within a time limit, checks each message that comes."""
+
+    def __init__(self, rig: RigPort, websocket: WebSocket, role: Role) -> None:
+        self._rig = rig
+        self._websocket = websocket
+        self._role = role
+        self._session = f"page-{secrets.token_hex(6)}"
+        self._bucket = TokenBucket(_MESSAGES_PER_S, _MESSAGES_PER_S)
+        self._asks: asyncio.Queue[AskMessage] = asyncio.Queue(_MAX_WAITING_ASKS)
+
+    def snapshot(self) -> dict[str, Any]:
+        return self._rig.snapshot(self._session, self._role.name.lower())
+
+    async def send(self, text: str) -> None:
+        async with asyncio.timeout(SLOW_READER_S):
+            await self._websocket.send_text(text)
+
+    async def send_events(self, events: Subscription) -> None:
+        while True:
+            await self.send(orjson.dumps(await events.get()).decode())
+
+    async def receive(self) -> None:
+        while True:
+            message = await self._websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                raise WebSocketDisconnect(message.get("code", 1005))
+            if not self._bucket.take(time.monotonic()):
+                raise WireError("flood", f"more than {_MESSAGES_PER_S:.0f} messages a second")
+            await self._take(_parsed(message.get("text")))
+
+    async def obey(self) -> None:
+        """Pass the asks on in their order; one that plans a path takes a while, and nothing else waits."""
+        while True:
+            ask = await self._asks.get()
+            try:
+                await self._rig.ask(ask.ask, self._session, ask.area)
+            except RefusedError as error:
+                await self._answer(error.code, str(error))
+            else:
+                await self._answer("ok")
+
+    async def _take(self, message: Heartbeat | AskMessage) -> None:
+        """Do at once what is urgent, check the role, and leave the rest to ``obey``."""
+        if isinstance(message, AskMessage) and message.ask == "stop":
+            self._rig.stop_now(self._session)  # anyone may stop
+            await self._answer("ok")
+        elif self._role < Role.OPERATOR:
+            await self._answer("forbidden", OPERATORS_ONLY)
+        elif isinstance(message, Heartbeat):
+            self._rig.heartbeat(self._session)
+        elif self._asks.full():
+            await self._answer("busy", f"{self._asks.maxsize} asks wait already: wait for their answers")
+        else:
+            self._asks.put_nowait(message)
+
+    async def _answer(self, code: str, text: str = "") -> None:
+        answer = {"type": "answer", "ok": code == "ok", "code": code, "message": text}
+        await self.send(orjson.dumps(answer).decode())
+
+    async def close(self, errors: BaseExceptionGroup[WireError]) -> None:
+        reason = "; ".join(
+            f"{error.code}: {error}" for error in errors.exceptions if isinstance(error, WireError)
+        )
+        async with asyncio.timeout(SLOW_READER_S):
+            await self._websocket.close(1008, reason.encode()[:120].decode(errors="ignore"))
+
+
+def _parsed(text: str | None) -> Heartbeat | AskMessage:
+    if text is None:
+        raise WireError("bad_message", "messages are text")
+    try:
+        # orjson refuses what json lets through: NaN, Infinity, 1e999, endless nesting.
+        return _MESSAGE.validate_python(orjson.loads(text))
+    except orjson.JSONDecodeError:
+        raise WireError("bad_json", "the message is not JSON") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        field = ".".join(str(part) for part in first["loc"]) or "message"
+        raise WireError("bad_message", f"{field}: {first['msg']}") from None

@@ -1,0 +1,64 @@
+"""The ``mrnav`` command. Each command imports what is heavy when it runs."""
+
+import sys
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from mrnav_server import __version__
+from mrnav_server.cli.demo import demo
+from mrnav_server.cli.doctor import doctor
+from mrnav_server.cli.evaluate import evaluate
+from mrnav_server.cli.map import generate
+from mrnav_server.cli.operate import operate
+from mrnav_server.cli.report import report
+from mrnav_server.cli.serve import serve
+from mrnav_server.cli.train import train
+from mrnav_server.core.errors import ConfigError, MrnavError
+
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
+for command in (serve, demo, operate, doctor, train, evaluate, report):
+    app.command()(command)
+models = typer.Typer(no_args_is_help=True, help="Vessel models.")
+models.command()(generate)
+app.add_typer(models, name="map")
+
+
+def show_version(wanted: bool) -> None:
+    """Print the version and end, if that is wanted."""
+    if wanted:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    _: Annotated[
+        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Semi-autonomous navigation of magnetic micro-robots."""
+
+
+def main() -> None:
+    """Run the command that the arguments name; errors made on purpose are told in one line."""
+    try:
+        app()
+    except ConfigError as error:
+        sys.exit(_told(error, 2))
+    except MrnavError as error:
+        sys.exit(_told(error, 1))
+
+
+def _told(error: MrnavError, code: int) -> int:
+    Console(stderr=True, soft_wrap=True).print(f"[bold red]error:[/] {_plain(error)}", highlight=False)
+    return code
+
+
+def _plain(error: MrnavError) -> str:
+    return " ".join(str(error).split()).replace("[", r"\[")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""A small client of the server's REST interface, for the commands that talk to a running server."""
+
+import json
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.request import ProxyHandler, Request, build_opener
+
+from mrnav_server.core.errors import MrnavError
+
+
+class RestError(MrnavError):
+    """The server refuses a request or does not answer. Reaction: the command reports it.
+
+    Args:
+        status: HTTP status; 0 without an answer.
+        code: The server's own reason, for example ``"guard"``.
+        message: One sentence for a person.
+    """
+
+    def __init__(self, status: int, code: str, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+        self.code = code
+
+
+class Rest:
+    """Sends requests as one session.
+
+    Args:
+        url: The server's web address without a path.
+        token: Sent as ``Authorization: Bearer``.
+        session: Names the sender towards the lease; None is one session per role.
+        timeout_s: Longest wait for an answer.
+    """
+
+    def __init__(self, url: str, token: str, session: str | None = None, timeout_s: float = 15.0) -> None:
+        self._timeout_s = timeout_s
+        self._url = url.rstrip("/")
+        self._headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
+        if session is not None:
+            self._headers["X-MRNAV-Session"] = session
+        # A proxy of the environment knows nothing of a server on this machine.
+        self._opener = build_opener(ProxyHandler({}))
+
+    def get(self, path: str) -> Any:  # noqa: ANN401 - JSON has no narrower type
+        """Return the answer to GET, parsed.
+
+        Raises:
+            RestError: If it is refused or not answered.
+        """
+        return self._send(Request(self._url + path, headers=self._headers))
+
+    def post(self, path: str, body: dict[str, Any]) -> Any:  # noqa: ANN401 - see above
+        """Return the answer to POST, parsed.
+
+        Raises:
+            RestError: If it is refused or not answered.
+        """
+        content = json.dumps(body).encode()
+        return self._send(Request(self._url + path, content, self._headers, method="POST"))
+
+    def _send(self, request: Request) -> Any:  # noqa: ANN401 - see above
+        try:
+            with self._opener.open(request, timeout=self._timeout_s) as answer:
+                return json.loads(answer.read() or b"null")
+        except HTTPError as error:
+            with error:
+                raise _refusal(error.code, error.read()) from None
+        except (URLError, OSError) as error:
+            raise RestError(0, "no_answer", f"no answer from {self._url} ({error})") from None
+
+
+def _refusal(status: int, content: bytes) -> RestError:
+    try:
+        problem = json.loads(content)
+        return RestError(status, problem["code"], problem["detail"])
+    except (ValueError, KeyError, TypeError):
+        return RestError(status, f"http_{status}", f"the server answered {status}")

@@ -1,0 +1,169 @@
+"""A rig without devices: what the server asks of it is noted, what it publishes is put by the test."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from fastapi import FastAPI
+
+from mrnav_server.app.serve import RigServer, _uvicorn_config, bound_socket
+from mrnav_server.core.areas import CriticalAreas
+from mrnav_server.core.errors import RefusedError
+from mrnav_server.core.frames import Affine2, Calibration, ImagePoint, VesselPoint
+from mrnav_server.core.modes import Mode, Severity
+from mrnav_server.core.records import Frame, LeaseState, Percentiles, RigState
+from mrnav_server.core.vessel import VesselMap
+from mrnav_server.core.wire_twin import RigCard, snapshot
+from mrnav_server.loops.events import EventBus
+from mrnav_server.loops.latest import Latest
+from mrnav_server.settings import Settings
+from mrnav_server.vision.vessel_model import vessel_map
+
+OPERATOR_TOKEN = "operator-0123456789"
+VIEWER_TOKEN = "viewer-0123456789ab"
+SERVER = {"operator_token": OPERATOR_TOKEN, "viewer_token": VIEWER_TOKEN, "port": 0, "hand_port": 0}
+SETTINGS = Settings.model_validate({"server": SERVER})
+
+STATE = RigState(
+    seq=1,
+    t_s=1.0,
+    tip=None,
+    setpoint=None,
+    tip_px=None,
+    track=None,
+    track_age_ms=0.0,
+    mode=Mode.DISARMED,
+    severity=Severity.NONE,
+    reason="",
+    authority=1.0,
+    lease=LeaseState(epoch=0, holder=None, console=None, client="", hand=False),
+    clutch=False,
+    auto_ready=False,
+    auto_refusal="no lease",
+    time_to_handover_s=None,
+    critical_area=None,
+    distance_um=None,
+    lead_um=None,
+    collisions=0,
+    path=(),
+    latency_ms={"tick": Percentiles(0.5, 2.0)},
+    rates_hz={"camera": 30.0},
+    counters={"stale": 3},
+    trial=None,
+)
+
+
+def vessel() -> VesselMap:
+    """A straight vessel, 200 px wide, in a grid of 400 px."""
+    mask = np.zeros((400, 400), np.uint8)
+    mask[100:300, 10:390] = 255
+    return vessel_map("straight", mask)
+
+
+class FakeRig:
+    """Satisfies ``app.rig_port.RigPort``."""
+
+    def __init__(self, settings: Settings = SETTINGS) -> None:
+        self.settings = settings
+        self.vessel = vessel()
+        self.calibration = Calibration(
+            image_from_vessel=Affine2.scale(2 / 3, 200.0, 0.0),
+            stage_from_vessel=Affine2.scale(10.0),
+            um_per_px=10.0,
+            floor_z_um=2000.0,
+            magnet_offset_um=(0.0, 0.0),
+            critical_height_um=3000.0,
+        )
+        self.states: Latest[RigState] = Latest()
+        self.frames: Latest[Frame] = Latest()
+        self.events = EventBus()
+        self.areas = CriticalAreas(self.vessel)
+        self.hand_port = 0
+        self.asked: list[tuple[str, ...]] = []
+        self.refusal: RefusedError | None = None
+        self.not_ready: list[str] = []
+        self.failure: Exception | None = None
+        self._trials: list[dict[str, Any]] = []
+
+    def publish(self, seq: int = 1, **changes: Any) -> None:  # noqa: ANN401 - any field of a state
+        self.states.put(replace(STATE, seq=seq, **changes))
+
+    def show(self, number: int = 0, width_px: int = 160, height_px: int = 120) -> None:
+        self.frames.put(Frame(number, number / 30.0, np.full((height_px, width_px, 3), 90, np.uint8)))
+
+    def snapshot(self, session: str, role: str) -> dict[str, Any]:
+        card = RigCard("fake", True, self.vessel, self.calibration, {}, 160, 120, 30.0)
+        return snapshot(session, role, card, [], self.areas.list(), self.states.value)
+
+    def to_vessel(self, frame: str, x: float, y: float) -> VesselPoint:
+        if frame == "image":
+            return self.calibration.vessel_point(ImagePoint(x, y))
+        return VesselPoint(x / 10.0, y / 10.0) if frame == "stage" else VesselPoint(x, y)
+
+    async def ask(self, name: str, session: str, area: str | None) -> None:
+        self._note(name, session, area or "")
+
+    def stop_now(self, session: str) -> None:
+        self.asked.append(("stop_now", session))
+
+    def take_lease(self, session: str, client: str) -> None:
+        self._note("take_lease", session, client)
+
+    def give_lease(self, session: str) -> None:
+        self._note("give_lease", session)
+
+    def heartbeat(self, session: str) -> None:
+        self.asked.append(("heartbeat", session))
+
+    def policies(self) -> list[dict[str, Any]]:
+        return [{"name": "ppo", "kind": "torchscript", "verified": True, "reason": ""}]
+
+    def readiness(self) -> list[str]:
+        return self.not_ready
+
+    async def start_trial(
+        self, participant: str, condition: str, operator_kind: str, notes: str
+    ) -> dict[str, Any]:
+        self._note("start_trial", participant)
+        self._trials.append({"id": f"trial-{len(self._trials) + 1}", "participant": participant})
+        return self._trials[-1]
+
+    async def end_trial(self, trial_id: str) -> dict[str, Any]:
+        self._note("end_trial", trial_id)
+        return {"id": trial_id, "duration_s": 1.0}
+
+    def trials(self) -> list[dict[str, Any]]:
+        return self._trials
+
+    async def run(self, started: asyncio.Event) -> None:
+        self.publish()
+        self.hand_port = 4242
+        started.set()
+        if self.failure is not None:
+            raise self.failure
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self.asked.append(("stopped",))
+
+    def _note(self, *ask: str) -> None:
+        if self.refusal is not None:
+            raise self.refusal
+        self.asked.append(ask)
+
+
+@asynccontextmanager
+async def listening(app: FastAPI) -> AsyncIterator[int]:
+    """Serve an app on a free port, as the process does; yields the port."""
+    server = RigServer(_uvicorn_config(app, SETTINGS.server))
+    with bound_socket("127.0.0.1", 0) as listener:
+        listener.listen()
+        async with asyncio.TaskGroup() as group:
+            group.create_task(server.serve([listener]))
+            try:
+                yield listener.getsockname()[1]
+            finally:
+                server.should_exit = True

@@ -1,0 +1,89 @@
+"""The process: what it announces, how it ends."""
+
+import json
+import os
+import signal
+import stat
+import threading
+import urllib.request
+from pathlib import Path
+
+import pytest
+from fake_rig import OPERATOR_TOKEN, SETTINGS, VIEWER_TOKEN, FakeRig
+
+from mrnav_server.app.serve import Ready, bound_socket, serve
+from mrnav_server.core.errors import ConfigError, DeviceError
+from mrnav_server.settings import Settings
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_stops_the_rig_and_ends_well(tmp_path: Path, number: int) -> None:
+    rig, file, announced = FakeRig(), tmp_path / "ready.json", list[Ready]()
+
+    def announce(ready: Ready) -> None:
+        announced.append(ready)
+        content = json.loads(file.read_text())
+        assert content["url"] == f"http://127.0.0.1:{ready.port}/?token={OPERATOR_TOKEN}"
+        assert (content["hand_port"], content["viewer_token"]) == (4242, VIEWER_TOKEN)
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+        os.kill(os.getpid(), number)
+
+    before = signal.getsignal(number)
+    serve(lambda _: rig, SETTINGS, announce, file)
+    assert announced[0].port > 0
+    assert rig.asked == [("stopped",)]
+    assert not file.exists()
+    assert signal.getsignal(number) is before
+
+
+def test_clients_may_come_once_it_is_announced() -> None:
+    statuses: list[int] = []
+
+    def visit(port: int) -> None:
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz", timeout=10) as answer:
+                statuses.append(answer.status)
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    def announce(ready: Ready) -> None:
+        threading.Thread(target=visit, args=(ready.port,)).start()
+
+    serve(FakeRig, SETTINGS, announce)
+    assert statuses == [200]
+
+
+def test_missing_tokens_are_made() -> None:
+    announced: list[Ready] = []
+
+    def announce(ready: Ready) -> None:
+        announced.append(ready)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    serve(FakeRig, Settings.model_validate({"server": {"port": 0, "hand_port": 0}}), announce)
+    assert len(announced[0].operator_token) == len(announced[0].viewer_token) == 32
+    assert announced[0].operator_token != announced[0].viewer_token
+
+
+def test_a_taken_port_is_a_configuration_error() -> None:
+    with bound_socket("127.0.0.1", 0) as other:
+        other.listen()
+        port = other.getsockname()[1]
+        taken = Settings.model_validate({"server": {"port": port}})
+        with pytest.raises(ConfigError, match=f"port {port}"):
+            serve(FakeRig, taken, lambda _: None)
+
+
+def test_a_failing_rig_ends_the_process() -> None:
+    rig = FakeRig()
+    rig.failure = DeviceError("the camera is gone")
+    with pytest.raises(ExceptionGroup) as failed:
+        serve(lambda _: rig, SETTINGS, lambda _: None)
+    assert failed.value.exceptions == (rig.failure,)
+
+
+def test_a_rig_that_cannot_start_is_a_configuration_error() -> None:
+    rig = FakeRig()
+    rig.failure = ConfigError("hand port 9000 is taken")
+    with pytest.raises(ConfigError, match="hand port 9000"):
+        serve(lambda _: rig, SETTINGS, lambda _: None)
