@@ -1,0 +1,73 @@
+/**
+ * The REST interface. The cookie that was set when the page was opened signs every request.
+ * @module
+ */
+
+const BASE = "/api/v1";
+const TIMEOUT_MS = 5000;
+
+/** The server's refusal, or the network's. */
+export class ApiError extends Error {
+  /**
+   * @param {string} message One sentence for a person.
+   * @param {string} code Stable reason.
+   * @param {number} status HTTP status; 0 when nothing answered.
+   */
+  constructor(message, code, status) {
+    super(message);
+    this.code = code;
+    this.status = status;
+  }
+}
+
+/**
+ * Send one request and return the answer's JSON (null for an empty answer).
+ * @param {"GET" | "POST" | "PUT" | "DELETE"} method
+ * @param {string} path Below /api/v1.
+ * @param {unknown} [body]
+ * @returns {Promise<unknown>}
+ * @throws {ApiError}
+ */
+export async function request(method, path, body) {
+  /** @type {Response} */
+  let response;
+  try {
+    response = await fetch(BASE + path, {
+      method,
+      headers: body === undefined ? {} : { "content-type": "application/json" },
+      body: body === undefined ? null : JSON.stringify(body),
+      cache: "no-store",
+      keepalive: true,
+      signal: AbortSignal.timeout(TIMEOUT_MS),
+    });
+  } catch {
+    throw new ApiError("The server does not answer.", "network", 0);
+  }
+  const text = await response.text().catch(() => "");
+  if (response.ok) return text ? JSON.parse(text) : null;
+  throw refusal(response.status, text);
+}
+
+/**
+ * @param {number} status
+ * @param {string} text Body, application/problem+json if the server wrote it.
+ * @returns {ApiError}
+ */
+function refusal(status, text) {
+  try {
+    const problem = JSON.parse(text);
+    const detail = typeof problem.detail === "string" ? problem.detail : problem.title;
+    return new ApiError(detail || `The server refused (${status}).`, problem.code ?? "refused", status);
+  } catch {
+    return new ApiError(`The server refused (${status}).`, "refused", status);
+  }
+}
+
+/**
+ * What to tell a person about a failed call.
+ * @param {unknown} error
+ * @returns {string}
+ */
+export function explain(error) {
+  return error instanceof Error ? error.message : String(error);
+}

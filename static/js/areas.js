@@ -1,0 +1,189 @@
+/**
+ * Critical areas: marking, choosing, changing and deleting them.
+ * @module
+ */
+
+import { explain, request } from "./api.js";
+import { byId, icon, make, setText } from "./dom.js";
+
+/** @import { CriticalArea, Pair, Snapshot, VesselPoint } from "./types.js" */
+/** @import { Messages } from "./messages.js" */
+
+const HOW_TO_MARK = "Click on the picture to mark where autonomy hands over to you.";
+
+export class Areas {
+  #list = byId("areas", HTMLUListElement);
+  #empty = byId("areas-empty", HTMLElement);
+  #epsilon = byId("epsilon", HTMLInputElement);
+  #suggest = byId("suggest", HTMLButtonElement);
+  #messages;
+  #onChange;
+  #mayEdit = false;
+  #busy = false;
+  /** @type {VesselPoint[]} */ #suggested = [];
+  /** @type {CriticalArea[]} */ all = [];
+  /** @type {string | null} */ chosenId = null;
+
+  /**
+   * @param {Messages} messages
+   * @param {() => void} onChange Called when the areas or the choice changed.
+   */
+  constructor(messages, onChange) {
+    this.#messages = messages;
+    this.#onChange = onChange;
+    this.#suggest.addEventListener("click", () => this.#markSuggested());
+  }
+
+  /** Radius of a new area, in µm. */
+  get newEpsilon_um() {
+    const value = this.#epsilon.valueAsNumber;
+    return Number.isFinite(value) && value > 0 ? value : 500;
+  }
+
+  /** @returns {CriticalArea | null} */
+  get chosen() {
+    return this.all.find((area) => area.id === this.chosenId) ?? null;
+  }
+
+  /** Start from what the server has. @param {Snapshot} snapshot */
+  reset(snapshot) {
+    this.#suggested = snapshot.vessel.suggested_areas;
+    this.#mayEdit = snapshot.role === "operator";
+    this.#epsilon.disabled = !this.#mayEdit;
+    this.#replace(snapshot.critical_areas);
+  }
+
+  /** Take over what the server says: some client changed the areas. @param {CriticalArea[]} areas */
+  update(areas) {
+    this.#replace(areas);
+  }
+
+  async #refresh() {
+    await this.#try(async () => {
+      this.#replace(/** @type {CriticalArea[]} */ (await request("GET", "/critical-areas")));
+    });
+  }
+
+  /** Choose where Auto goes. @param {string} id */
+  choose(id) {
+    this.chosenId = id;
+    this.#render();
+    this.#onChange();
+  }
+
+  /** Mark an area where the image was clicked. @param {Pair} image_px */
+  async mark([x, y]) {
+    await this.#add({ frame: "image", x, y });
+  }
+
+  /** @param {{frame: "image" | "vessel", x: number, y: number}} center */
+  async #add(center) {
+    if (this.#busy) return;
+    this.#busy = true;
+    await this.#try(async () => {
+      const body = { center, epsilon_um: this.newEpsilon_um, label: "" };
+      const area = /** @type {CriticalArea} */ (await request("POST", "/critical-areas", body));
+      this.chosenId = area.id;
+      this.#messages.clear();
+      await this.#refresh();
+    });
+    this.#busy = false;
+  }
+
+  async #markSuggested() {
+    const next = this.#unmarkedSuggestions()[0];
+    if (next) await this.#add({ frame: "vessel", x: next.x_px, y: next.y_px });
+  }
+
+  #unmarkedSuggestions() {
+    return this.#suggested.filter(
+      ({ x_px, y_px }) =>
+        !this.all.some(({ center }) => Math.hypot(center.x_px - x_px, center.y_px - y_px) < 1),
+    );
+  }
+
+  /** @param {CriticalArea} area @param {{epsilon_um?: number, label?: string}} change */
+  async #change(area, change) {
+    await this.#try(async () => {
+      const { epsilon_um, label } = { ...area, ...change };
+      const center = { frame: "vessel", x: area.center.x_px, y: area.center.y_px };
+      await request("PUT", `/critical-areas/${encodeURIComponent(area.id)}`, { center, epsilon_um, label });
+      this.#messages.clear();
+    });
+    await this.#refresh();
+  }
+
+  /** @param {CriticalArea} area */
+  async #delete(area) {
+    await this.#try(async () => {
+      await request("DELETE", `/critical-areas/${encodeURIComponent(area.id)}`);
+      this.#messages.clear();
+    });
+    await this.#refresh();
+  }
+
+  /** @param {() => Promise<void>} action */
+  async #try(action) {
+    try {
+      await action();
+    } catch (error) {
+      this.#messages.say(explain(error), "warning");
+    }
+  }
+
+  /** @param {CriticalArea[]} areas */
+  #replace(areas) {
+    this.all = areas;
+    if (!this.chosen) {
+      this.chosenId = (areas.find((area) => area.active) ?? areas[0])?.id ?? null;
+    }
+    this.#render();
+    this.#onChange();
+  }
+
+  #render() {
+    this.#empty.hidden = this.all.length > 0;
+    setText(this.#empty, this.#mayEdit ? HOW_TO_MARK : "None is marked.");
+    const left = this.#unmarkedSuggestions().length;
+    this.#suggest.hidden = !this.#mayEdit || left === 0;
+    setText(this.#suggest, `Mark suggested (${left})`);
+    const focused = document.activeElement instanceof HTMLElement ? document.activeElement.dataset.key : undefined;
+    this.#list.replaceChildren(...this.all.map((area) => this.#row(area)));
+    if (focused) this.#list.querySelector(/** @type {"input"} */ (`[data-key="${CSS.escape(focused)}"]`))?.focus();
+  }
+
+  /** @param {CriticalArea} area @returns {HTMLLIElement} */
+  #row(area) {
+    const name = area.label || area.id;
+    const choice = make("input", { type: "radio", name: "area", value: area.id, "aria-label": `Choose ${name}` });
+    choice.checked = area.id === this.chosenId;
+    choice.addEventListener("change", () => this.choose(area.id));
+
+    const label = make("input", { type: "text", maxlength: "40", "aria-label": `Label of ${area.id}` });
+    label.className = "quiet";
+    label.value = name;
+    label.disabled = !this.#mayEdit;
+    label.addEventListener("change", () => this.#change(area, { label: label.value.trim() }));
+
+    const epsilon = make("input", { type: "number", min: "50", max: "3000", step: "50" });
+    epsilon.setAttribute("aria-label", `Radius ε of ${name} in µm`);
+    epsilon.className = "quiet number";
+    epsilon.valueAsNumber = area.epsilon_um;
+    epsilon.disabled = !this.#mayEdit;
+    epsilon.addEventListener("change", () => this.#change(area, { epsilon_um: epsilon.valueAsNumber }));
+
+    const remove = make("button", { type: "button", class: "plain", "aria-label": `Delete ${name}` });
+    remove.dataset.testid = `area-delete-${area.id}`;
+    remove.append(icon("i-delete"));
+    remove.disabled = !this.#mayEdit;
+    remove.addEventListener("click", () => this.#delete(area));
+
+    for (const [part, element] of Object.entries({ choice, label, epsilon, remove })) {
+      element.dataset.key = `${area.id} ${part}`;
+    }
+    const row = make("li", { "data-testid": `area-${area.id}`, "data-active": String(area.active) });
+    const radius = make("span", { class: "unit" }, "ε", epsilon, "µm");
+    row.append(make("label", { class: "choice" }, choice, icon("i-area")), label, radius, remove);
+    return row;
+  }
+}
