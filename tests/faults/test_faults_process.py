@@ -1,0 +1,74 @@
+"""Faults injected into running processes; `make faults` measures what is only ordered and bounded here."""
+
+import signal
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.faults.conftest import RigProcess
+
+CEILING_S = 1.0
+
+
+def drive(rig: "RigProcess", mode: str) -> None:
+    """Bring the rig into MANUAL or AUTO, in motion where the mode moves by itself."""
+    if mode == "AUTO":
+        rig.ask("auto")
+        rig.until(lambda s: s["mode"] == "AUTO", "AUTO")
+        time.sleep(0.5)
+    else:
+        rig.until(lambda s: s["mode"] == "MANUAL", "MANUAL")
+        time.sleep(0.2)
+
+
+@pytest.mark.parametrize("mode", ["MANUAL", "AUTO"])
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_an_operator_that_dies_or_freezes_holds_the_rig(
+    rig_process: "RigProcess", mode: str, how: signal.Signals
+) -> None:
+    rig = rig_process
+    rig.start_operator()
+    trial = rig.begin_trial()
+    drive(rig, mode)
+    assert rig.operator is not None
+    rig.operator.send_signal(how)
+    rig.until(lambda s: s["mode"] == "HOLD", "HOLD", 5.0)
+    rig.post(f"/api/v1/trials/{trial}/end", {})
+    lines = rig.log(trial)
+    hold = next(line for line in lines if line.topic == "mode" and line.data["mode"] == "HOLD")
+    heard_s = max(line.data["received_s"] for line in lines if line.topic == "hand" and line.t_s < hold.t_s)
+    assert 0.0 < hold.t_s - heard_s < CEILING_S
+    assert all(line.data["ahead_ms"] <= 100.0 for line in lines if line.topic == "command")
+    after = [line for line in lines if line.topic == "command" and line.t_s > hold.t_s + 0.5]
+    assert after == []
+
+
+def test_sigterm_stops_the_manipulator_and_exits_cleanly(rig_process: "RigProcess") -> None:
+    rig = rig_process
+    rig.start_operator()
+    trial = rig.begin_trial()
+    drive(rig, "AUTO")
+    rig.process.send_signal(signal.SIGTERM)
+    assert rig.process.wait(15) == 0
+    lines = rig.log(trial)
+    assert lines[-1].topic == "closed"
+    stopped = [line for line in lines if line.topic == "event" and line.data["event"] == "rig_stopped"]
+    assert len(stopped) == 1
+    assert [line for line in lines if line.topic == "command" and line.t_s > stopped[0].t_s] == []
+
+
+def test_stop_is_one_request_from_anyone_and_latches(rig_process: "RigProcess") -> None:
+    rig = rig_process
+    rig.start_operator()
+    rig.begin_trial()
+    drive(rig, "AUTO")
+    viewer = {"Authorization": f"Bearer {rig.ready['viewer_token']}"}
+    assert rig.http.post("/api/v1/mode", json={"ask": "stop"}, headers=viewer).is_success
+    rig.until(lambda s: s["mode"] == "STOP", "STOP", CEILING_S)
+    refused = rig.http.post("/api/v1/mode", json={"ask": "auto"})
+    assert refused.status_code == 409
+    assert "reset" in refused.json()["detail"]
+    rig.ask("reset")
+    rig.until(lambda s: s["mode"] == "DISARMED", "DISARMED", CEILING_S)
