@@ -47,7 +47,7 @@ faults: $(VENV)/.installed-test ## Inject faults into real processes and sockets
 	$(PY) -m pytest tests/faults
 
 bench: $(VENV)/.installed-test ## Measure every published figure again
-	$(BIN)/mrnav bench
+	@for script in benchmarks/*.py; do echo "$$script" >&2; $(PY) "$$script"; done
 
 clean: ## Remove everything that was built here
 	rm -rf $(VENV) static/node_modules static/vendor .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -32,6 +32,8 @@ from mrnav_server.vision.vessel_model import load_vessel_model
 MODELS = Path(__file__).parent.parent / "policies"
 TICK_MS, SAMPLE_MS, PLANNING_MS = 10, 20, 100
 ARRIVED_UM = 100.0
+LEAST_STEP_UM = 20.0
+"""Shorter motion between two samples is trembling, not progress."""
 
 
 @dataclass
@@ -44,9 +46,7 @@ class Outcome:
     final_distance_um: float
     time_s: float
     driven_um: float
-    geodesic_um: float
     replans: int
-    first_time: bool
     source: str
     cross_track_um: list[float]
     gap_um: float
@@ -93,10 +93,9 @@ class Bench:
         reading = TipReading(world.time_s, world.tip, world.moving)
         follower.start(path, track, reading, world.time_s)
         outcome = Outcome(
-            FollowerStatus.TAKE_UP, 0, False, 0.0, 0.0, 0.0, path.length_px * self._vessel.um_per_px,
-            0, True, path.source, [], math.inf, [], path_s,
+            FollowerStatus.TAKE_UP, 0, False, 0.0, 0.0, 0.0, 0, path.source, [], math.inf, [], path_s
         )  # fmt: skip
-        last_um = _um(world.robot)
+        last_um = self._um(world.robot)
         restart_ms = 0
         arrived_s: float | None = None
         frame = 1
@@ -107,14 +106,15 @@ class Bench:
                 frame += 1
             while frames and frames[0].taken_s + options.latency_ms * 1e-3 <= world.time_s + 1e-9:
                 track = frames.popleft()
-            robot_um = _um(world.robot)
+            robot_um = self._um(world.robot)
             if ms % SAMPLE_MS == 0:
-                outcome.driven_um += _driven(last_um, robot_um)
-                last_um = robot_um if _driven(last_um, robot_um) else last_um
+                if math.dist(last_um, robot_um) > LEAST_STEP_UM:
+                    outcome.driven_um += math.dist(last_um, robot_um)
+                    last_um = robot_um
                 outcome.gap_um = min(outcome.gap_um, self._vessel.clearance_um(world.robot))
                 if outcome.status is FollowerStatus.FOLLOWING:
                     outcome.cross_track_um.append(_distance_um(path, robot_um, self._vessel.um_per_px))
-            if arrived_s is None and math.dist(robot_um, _um(target)) < ARRIVED_UM:
+            if arrived_s is None and math.dist(robot_um, self._um(target)) < ARRIVED_UM:
                 arrived_s = world.time_s
             if ms % TICK_MS:
                 continue
@@ -141,9 +141,12 @@ class Bench:
                 break
         self._coupling = follower.coupling
         outcome.contacts, outcome.lifted = world.collisions, world.lifted
-        outcome.final_distance_um = math.dist(_um(world.robot), _um(target))
+        outcome.final_distance_um = math.dist(self._um(world.robot), self._um(target))
         outcome.time_s = arrived_s or world.time_s
         return outcome
+
+    def _um(self, point: VesselPoint) -> tuple[float, float]:
+        return point.x_px * self._vessel.um_per_px, point.y_px * self._vessel.um_per_px
 
     def _plan(self, track: Track, target: VesselPoint, *, back_off: bool) -> PlannedPath:
         assert track.vessel is not None
@@ -160,15 +163,6 @@ def _track(world: SimulatedWorld, number: int, noise: np.random.Generator, sigma
     seen = VesselPoint(robot.x_px + float(dx), robot.y_px + float(dy))
     image = world.calibration.image_point(seen)
     return Track(world.time_s, number, TrackState.TRACKING, image, seen, 1.0, sigma_um, 10)
-
-
-def _um(point: VesselPoint) -> tuple[float, float]:
-    return point.x_px * 10.0, point.y_px * 10.0
-
-
-def _driven(last_um: tuple[float, float], now_um: tuple[float, float]) -> float:
-    away = math.dist(last_um, now_um)
-    return away if away > 20.0 else 0.0
 
 
 def _distance_um(path: PlannedPath, robot_um: tuple[float, float], um_per_px: float) -> float:
@@ -189,7 +183,7 @@ def random_tasks(vessel: VesselMap, count: int, seed: int) -> list[tuple[VesselP
     return tasks
 
 
-def summary(outcomes: list[Outcome]) -> dict[str, object]:
+def summary(outcomes: list[Outcome], options: argparse.Namespace) -> dict[str, object]:
     """Return the figures over all tasks."""
     cross: FloatArray = np.array([c for o in outcomes for c in o.cross_track_um])
     cross = cross[np.isfinite(cross)]
@@ -198,6 +192,7 @@ def summary(outcomes: list[Outcome]) -> dict[str, object]:
     seconds = sum(o.time_s for o in outcomes)
     return {
         "simulated": True,
+        "options": vars(options),
         "tasks": len(outcomes),
         "reached": float(np.mean([o.status is FollowerStatus.ARRIVED for o in outcomes])),
         "reached_at_first_stop": float(np.mean([o.replans == 0 for o in outcomes])),
@@ -237,7 +232,7 @@ def main() -> None:
     bench = Bench(vessel, load_policy(MODELS / options.model, vessel) if options.policy else None, options)
     tasks = random_tasks(vessel, options.tasks, options.seed)
     outcomes = [bench.task(number, start, target) for number, (start, target) in enumerate(tasks)]
-    print(json.dumps(summary(outcomes), indent=2))
+    print(json.dumps(summary(outcomes, options), indent=2))
 
 
 if __name__ == "__main__":

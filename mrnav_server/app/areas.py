@@ -1,6 +1,5 @@
 """REST routes of the critical areas."""
 
-import time
 from typing import Any
 
 from fastapi import APIRouter, Response
@@ -8,8 +7,7 @@ from fastapi import APIRouter, Response
 from mrnav_server.app.context import AppContext, Context, Operator
 from mrnav_server.app.schemas import AreaBody
 from mrnav_server.core.frames import VesselPoint
-from mrnav_server.core.records import CriticalArea
-from mrnav_server.core.wire_twin import area_fields, event
+from mrnav_server.core.wire_twin import area_fields
 
 router = APIRouter(prefix="/critical-areas", tags=["critical areas"])
 
@@ -25,7 +23,7 @@ async def add_area(parts: Context, body: AreaBody, _: Operator, response: Respon
     """Mark a critical area; 409 with the reason where the robot cannot go."""
     area = parts.rig.areas.add(_center(parts, body), body.epsilon_um, body.label)
     response.headers["Location"] = f"/api/v1/critical-areas/{area.id}"
-    return _changed(parts, area)
+    return area_fields(area, _active(parts))
 
 
 @router.get("/{area_id}")
@@ -37,29 +35,18 @@ async def get_area(parts: Context, area_id: str) -> dict[str, Any]:
 @router.put("/{area_id}")
 async def replace_area(parts: Context, area_id: str, body: AreaBody, _: Operator) -> dict[str, Any]:
     """Change a critical area; 409 with the reason where the robot cannot go."""
-    return _changed(
-        parts, parts.rig.areas.replace(area_id, _center(parts, body), body.epsilon_um, body.label)
-    )
+    area = parts.rig.areas.replace(area_id, _center(parts, body), body.epsilon_um, body.label)
+    return area_fields(area, _active(parts))
 
 
 @router.delete("/{area_id}", status_code=204)
 async def remove_area(parts: Context, area_id: str, _: Operator) -> None:
     """Forget a critical area."""
     parts.rig.areas.remove(area_id)
-    _tell(parts)
 
 
 def _center(parts: AppContext, body: AreaBody) -> VesselPoint:
     return parts.rig.to_vessel(body.center.frame, body.center.x, body.center.y)
-
-
-def _changed(parts: AppContext, area: CriticalArea) -> dict[str, Any]:
-    _tell(parts)
-    return area_fields(area, _active(parts))
-
-
-def _tell(parts: AppContext) -> None:
-    parts.rig.events.publish(event("areas", time.monotonic(), {"critical_areas": _fields(parts)}))
 
 
 def _fields(parts: AppContext) -> list[dict[str, Any]]:

@@ -11,12 +11,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mrnav_server import __version__
 from mrnav_server.app.auth import Tokens
 from mrnav_server.app.bench import build_bench
+from mrnav_server.app.hand_seat import HandSeat
 from mrnav_server.app.navigator import Navigator
-from mrnav_server.app.reporting import ReportError, trial_report
 from mrnav_server.app.telemetry import Telemetry
+from mrnav_server.app.trial_desk import TrialDesk
 from mrnav_server.core import wire_twin
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import ConfigError, DeviceError, RefusedError
@@ -24,9 +24,8 @@ from mrnav_server.core.frames import Calibration, ImagePoint, VesselPoint
 from mrnav_server.core.hand import HandControl
 from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.lease import Lease
-from mrnav_server.core.modes import ARMED, Ask, Mode
-from mrnav_server.core.records import CriticalArea, Frame, RigState, Track
-from mrnav_server.core.wire_hand import Hello
+from mrnav_server.core.modes import ARMED, Ask, Mode, Transition
+from mrnav_server.core.records import Frame, RigState, Track
 from mrnav_server.loops.control import ControlLoop
 from mrnav_server.loops.events import EventBus
 from mrnav_server.loops.hand_link import HandLinkServer
@@ -34,7 +33,6 @@ from mrnav_server.loops.latest import Latest
 from mrnav_server.loops.recorder import Recorder
 from mrnav_server.loops.ticks import ticks
 from mrnav_server.loops.tracking import TrackingLoop
-from mrnav_server.loops.trial_log import TrialHeader, list_trials
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
 from mrnav_server.sim.world import SimulatedWorld
@@ -65,7 +63,7 @@ class Rig:
         self.states: Latest[RigState] = Latest()
         self.frames: Latest[Frame] = Latest()
         self.events = EventBus()
-        self.areas = CriticalAreas(self.vessel)
+        self.areas = CriticalAreas(self.vessel, self._on_areas)
         self.lease = Lease()
         self.hand = HandControl(settings.hand, settings.limits.speed_um_per_s)
         self.navigator = Navigator(settings, self.vessel, self.calibration)
@@ -79,15 +77,38 @@ class Rig:
             self.lease,
             self.hand,
             self.navigator.autopilot,
-            self._log,
+            self._on_command,
+            self._on_change,
         )
         self.marks = TrialMarks(settings.trial, self.vessel, self._announce)
         self.telemetry = Telemetry(
             self.control, self.navigator.autopilot, self.hand, self.lease, self.marks, self.calibration
         )
         self._clock = clock
-        self._trials = Path(settings.recording.root).absolute()
-        self._recorder = Recorder(self._trials, clock, settings.recording)
+        root = Path(settings.recording.root).absolute()
+        self._recorder = Recorder(root, clock, settings.recording)
+        self.trials = TrialDesk(
+            settings,
+            root,
+            self._recorder,
+            self.vessel,
+            self.bench,
+            self.control,
+            self.navigator,
+            self.marks,
+            self.telemetry,
+            self._announce,
+        )
+        seat = HandSeat(
+            self.lease,
+            self.hand,
+            step=self._step_for_hand,
+            hold=self._hold,
+            on_message=self._on_message,
+            announce=self._announce,
+            record=self._log,
+            clock=clock,
+        )
         self.control.recorder_fault = lambda: self._recorder.fault or ""
         self._tokens = Tokens(settings.server)
         self._hand_link = HandLinkServer(
@@ -95,17 +116,16 @@ class Rig:
                 settings.hand_link, host=settings.server.host, port=settings.server.hand_port
             ),
             authorize=self._authorize,
-            acquire=self._acquire_hand,
-            on_sample=self._on_sample,
-            on_closed=self._on_hand_closed,
+            acquire=seat.acquire,
+            on_sample=seat.take,
+            on_closed=seat.leave,
             twin_source=lambda: self._twin,
             clock=clock,
-            on_bad_numbers=self._on_bad_numbers,
+            on_bad_numbers=seat.on_bad_numbers,
             limits={"speed_um_per_s": settings.limits.speed_um_per_s},
             transform={"gain": settings.hand.gain, "vertical_gain": settings.hand.vertical_gain},
         )
         self._twin: Mapping[str, object] | None = None
-        self._seq = 0
         self._camera_fault = ""
         self._running = False
         self._fresh_track = asyncio.Event()
@@ -214,79 +234,6 @@ class Rig:
         """Note that a page is alive and watched."""
         self.lease.hear(session, self._clock())
 
-    def trials(self) -> list[dict[str, Any]]:
-        """Describe the trials on disk, oldest first."""
-        return [
-            {"id": info.id, "status": info.status, **dataclasses.asdict(info.header)}
-            for info in list_trials(self._trials)
-        ]
-
-    async def start_trial(
-        self, participant: str, condition: str, operator_kind: str, notes: str
-    ) -> dict[str, Any]:
-        """Begin a trial: its log, its marks and its latencies start now.
-
-        Raises:
-            RefusedError: While another runs, or if it cannot be recorded.
-        """
-        areas = self.areas.list()
-        if self.control.area is None and len(areas) == 1:
-            self.control.choose_area(areas[0])
-        area, robot = self.control.area, self.control.robot
-        header = TrialHeader(
-            participant=participant,
-            condition=condition,  # type: ignore[arg-type] # checked by the schema
-            operator_kind=operator_kind,  # type: ignore[arg-type] # checked by the schema
-            simulated_rig=self.simulated,
-            software_version=__version__,
-            configuration_sha256=self.settings.digest(),
-            vessel=self.vessel.name,
-            vessel_sha256=self.vessel.digest,
-            um_per_px=self.vessel.um_per_px,
-            calibration=wire_twin.calibration_fields(self.calibration),
-            start_px=(robot.x_px, robot.y_px) if robot else None,
-            area_id=area.id if area else None,
-            area_px=(area.center.x_px, area.center.y_px) if area else None,
-            area_epsilon_um=area.epsilon_um if area else None,
-            policy_sha256=self.navigator.policy_sha256,
-            seeds={"sim": self.settings.sim.seed, "policy": self.settings.autopilot.seed},
-            notes=notes,
-        )
-        trial_id = self._recorder.start_trial(header)
-        self.marks.restart()
-        self.telemetry.restart()
-        self._announce("trial", {"mark": "start", "id": trial_id})
-        return {"id": trial_id, "folder": str(self._trials / trial_id)}
-
-    async def end_trial(self, trial_id: str) -> dict[str, Any]:
-        """End the running trial; return its marks, latencies and metrics. Its log is safe on disk.
-
-        Raises:
-            RefusedError: If this trial is not the running one.
-        """
-        if trial_id != self._recorder.trial:
-            raise RefusedError("no_such_trial", f"trial {trial_id!r} is not running")
-        distance_um = self.control.distance_um
-        summary = self.marks.summary() | {
-            "id": trial_id,
-            "final_distance_um": distance_um,
-            "latency_ms": self.telemetry.summary(),
-            "counters": self._counters(),
-            "simulated": self.simulated,
-        }
-        if self.bench.world is not None:
-            truth = self.bench.world
-            summary["simulated_truth"] = {"collisions": truth.collisions, "lifted": truth.lifted}
-        self._announce("trial", {"mark": "end", **summary})
-        folder = await self._recorder.end_trial()
-        if folder is None:
-            return summary
-        try:
-            report: dict[str, Any] = await trial_report(folder)
-        except ReportError as error:
-            report = {"report_error": str(error)}
-        return report | summary | {"folder": str(folder)}
-
     # -- running ---------------------------------------------------------------------------------------
 
     async def run(self, started: asyncio.Event) -> None:
@@ -343,9 +290,7 @@ class Rig:
     async def _run_control(self) -> None:
         async for now_s in ticks(self.settings.control.tick_s, self._clock):
             self.telemetry.on_tick(now_s)
-            before, commands = self.control.machine.mode, self.control.counters["commands"]
             self.control.step(now_s)
-            self._after_step(before, commands, now_s)
 
     async def _run_twin(self) -> None:
         """Publish at every fresh track, and at 60 Hz in between."""
@@ -366,25 +311,36 @@ class Rig:
                 path = await self.navigator.plan_order(order)
                 self.navigator.autopilot.deliver(order, path)
 
-    def _after_step(self, before: Mode, commands: int, now_s: float) -> None:
-        """Announce what a step changed."""
-        mode = self.control.machine.mode
-        if self.control.counters["commands"] > commands:
-            self.marks.on_motion(now_s)
-        if mode is before:
-            return
-        if before not in ARMED and mode in ARMED and self._recorder.trial is None:
-            self.marks.restart()
-        self._announce(
-            "mode", {"before": before.value, "mode": mode.value, "reason": self.control.machine.reason}
-        )
-        if before is Mode.AUTO and mode is Mode.MANUAL:
-            by = "takeover" if self.hand.engaged else "arrival"
-            self._announce("handover", {"by": by, "distance_um": self.control.distance_um})
-        if mode is Mode.FAULT:
-            self._announce("fault", {"reason": self.control.machine.reason})
+    def _step_for_hand(self, received_s: float) -> None:
+        self.control.on_hand(received_s, self._clock())
+
+    def _hold(self) -> None:
+        if self.control.machine.mode in ARMED:
+            self.control.submit(Ask.HOLD, self._clock())
 
     # -- callbacks of the loops ------------------------------------------------------------------------
+
+    def _on_command(self, topic: str, data: Mapping[str, object]) -> None:
+        self.marks.on_motion(self._clock())
+        self._log(topic, data)
+
+    def _on_change(self, change: Transition) -> None:
+        """Announce a change of mode, and what it means."""
+        before, after = change.before, change.after
+        fields = {"before": before.value, "mode": after.value, "reason": change.reason}
+        self._announce("mode", fields)
+        if before not in ARMED and after in ARMED and self._recorder.trial is None:
+            self.marks.restart()
+        if before is Mode.AUTO and after is Mode.MANUAL:
+            by = "takeover" if self.control.facts.clutch_closing else "arrival"
+            self._announce("handover", {"by": by, "distance_um": self.control.distance_um})
+        if after is Mode.FAULT:
+            self._announce("fault", {"reason": change.reason})
+
+    def _on_message(self, sample: HandSample) -> None:
+        self.telemetry.hand_messages.add(sample.received_s)
+        if sample.new_pose:
+            self.telemetry.hand_poses.add(sample.received_s)
 
     def _on_track(self, frame: Frame, track: Track) -> None:
         self.frames.put(frame)
@@ -404,6 +360,17 @@ class Rig:
         )
         self._fresh_track.set()
 
+    def _on_areas(self) -> None:
+        """Keep an area active that is marked; a task that is under way keeps its goal."""
+        areas = {area.id: area for area in self.areas.list()}
+        active = self.control.area
+        if self.control.machine.mode is not Mode.AUTO:
+            kept = areas.get(active.id) if active else None
+            self.control.choose_area(kept or next(iter(areas.values()), None))
+        active = self.control.area
+        fields = [wire_twin.area_fields(area, active.id if active else None) for area in areas.values()]
+        self._announce("areas", {"critical_areas": fields})
+
     def _on_camera(self, fault: str) -> None:
         self._camera_fault = fault
         self._announce("fault", {"reason": fault or "the camera works again"})
@@ -412,77 +379,20 @@ class Rig:
         role = self._tokens.role(token)
         return None if role is None else role.name.lower()
 
-    def _acquire_hand(self, session: str, hello: Hello) -> bool:
-        try:
-            self.lease.take_hand(session, hello.client or "hand", self._clock())
-        except RefusedError:
-            return False
-        self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
-        return True
-
-    def _on_sample(self, sample: HandSample) -> None:
-        if not self.lease.is_hand(sample.session):
-            return
-        now_s = self._clock()
-        self.lease.hear(sample.session, now_s)
-        self.telemetry.hand_messages.add(now_s)
-        if sample.new_pose:
-            self.telemetry.hand_poses.add(now_s)
-        self.hand.on_sample(sample)
-        point = sample.point
-        self._log(
-            "hand",
-            {
-                "seq": sample.seq,
-                "sender_s": sample.sender_t_s,
-                "received_s": sample.received_s,
-                "p_m": [round(point.x_m, 6), round(point.y_m, 6), round(point.z_m, 6)],
-                "clutch": sample.clutch,
-                "valid": sample.valid,
-                "new_pose": sample.new_pose,
-            },
-        )
-        before, commands = self.control.machine.mode, self.control.counters["commands"]
-        self.control.on_hand(sample.received_s, now_s)
-        self._after_step(before, commands, now_s)
-
-    def _on_bad_numbers(self, session: str) -> None:
-        if self.lease.is_hand(session) and self.control.machine.mode in ARMED:
-            self.control.submit(Ask.HOLD, self._clock())
-            self._announce("fault", {"reason": "the hand sends numbers that are not finite: holding"})
-
-    def _on_hand_closed(self, session: str) -> None:
-        if self.lease.is_hand(session):
-            self.hand.lose()
-            self.lease.give_back(session)
-            self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
-
     # -- helpers ---------------------------------------------------------------------------------------
 
     async def _prepare_auto(self, area_id: str | None) -> None:
         """Choose the area and plan the way there, before AUTO is entered."""
-        area = self._chosen_area(area_id)
-        self.control.choose_area(area)
+        if area_id is not None:
+            self.control.choose_area(self.areas.get(area_id))
         self.control.check(Ask.AUTO, self._clock())
-        robot = self.control.robot
-        if robot is None:
-            raise RefusedError("guard", "the robot is not seen")
+        area, robot = self.control.area, self.control.robot
+        if area is None or robot is None:
+            raise RuntimeError("the guards of AUTO let a task without a start or a goal pass")
         path = await self.navigator.plan(robot, area.center)
         self.navigator.autopilot.prepare(path, area.center)
         if path.fallback:
             self._announce("fault", {"reason": f"the geodesic stands in: {path.fallback}"})
-
-    def _chosen_area(self, area_id: str | None) -> CriticalArea:
-        if area_id is not None:
-            return self.areas.get(area_id)
-        if self.control.area is not None:
-            return self.control.area
-        areas = self.areas.list()
-        if len(areas) != 1:
-            raise RefusedError(
-                "no_area", "name the critical area: " + (", ".join(a.id for a in areas) or "mark one")
-            )
-        return areas[0]
 
     def _require_lease(self, session: str) -> None:
         if not self.lease.holds(session):
@@ -502,7 +412,8 @@ class Rig:
     def _announce(self, name: str, fields: Mapping[str, object]) -> None:
         """Tell everybody what happened, and record it."""
         self.events.publish(wire_twin.event(name, self._clock(), fields))
-        self._log("event" if name != "trial" else "trial", {"event": name, **fields})
+        topic = name if name in ("mode", "trial") else "event"
+        self._log(topic, {"event": name, **fields})
 
     def _log(self, topic: str, data: Mapping[str, object]) -> None:
         self._recorder.record(topic, data)

@@ -8,6 +8,7 @@ from mrnav_server.core.records import CriticalArea, Frame, RigState
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.loops.events import EventBus
 from mrnav_server.loops.latest import Latest
+from mrnav_server.loops.trial_log import Condition, OperatorKind
 from mrnav_server.settings import Settings
 
 
@@ -28,6 +29,21 @@ class Areas(Protocol):
 
     def remove(self, area_id: str) -> None:
         """Forget an area."""
+
+
+class Trials(Protocol):
+    """The trials; asks raise RefusedError with the reason."""
+
+    def list(self) -> list[dict[str, Any]]:
+        """Describe the trials on disk, oldest first."""
+
+    def start(
+        self, participant: str, condition: Condition, operator_kind: OperatorKind, notes: str
+    ) -> dict[str, Any]:
+        """Begin a trial."""
+
+    async def end(self, trial_id: str) -> dict[str, Any]:
+        """End a trial and return its result."""
 
 
 class RigPort(Protocol):
@@ -62,6 +78,10 @@ class RigPort(Protocol):
         """The critical areas."""
 
     @property
+    def trials(self) -> Trials:
+        """The trials."""
+
+    @property
     def hand_port(self) -> int:
         """The hand link's port, once started."""
 
@@ -91,17 +111,6 @@ class RigPort(Protocol):
 
     def readiness(self) -> list[str]:
         """Return why the rig is not ready; empty when it is."""
-
-    async def start_trial(
-        self, participant: str, condition: str, operator_kind: str, notes: str
-    ) -> dict[str, Any]:
-        """Begin a trial."""
-
-    async def end_trial(self, trial_id: str) -> dict[str, Any]:
-        """End a trial and return its result."""
-
-    def trials(self) -> list[dict[str, Any]]:
-        """Describe the trials on disk, newest last."""
 
     async def run(self, started: asyncio.Event) -> None:
         """Own the devices until cancelled; sets ``started`` once they are open."""

@@ -4,6 +4,7 @@ import asyncio
 import os
 import signal
 import socket
+import ssl
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -68,11 +69,12 @@ def serve(
         ready_file: Gets what ``announce`` is told, as a line of JSON, readable by this user alone.
 
     Raises:
-        ConfigError: If a port is taken, or the rig cannot be built from the settings.
+        ConfigError: If a port is taken, the certificate cannot be used, or the rig cannot be built or opened.
     """
     # Threads that compute (JPEG, tracking) give the interpreter back in time for a 10 ms control tick.
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     settings = settings.with_tokens()
+    _check_certificate(settings.server)
     if ready_file is not None:
         ready_file.unlink(missing_ok=True)
     with bound_socket(settings.server.host, settings.server.port) as listener:
@@ -179,6 +181,16 @@ def bound_socket(host: str, port: int) -> Iterator[socket.socket]:
                 f"{host} port {port} cannot be used ({error.strerror}): choose another one"
             ) from None
         yield listener
+
+
+def _check_certificate(config: ServerConfig) -> None:
+    if config.tls_certificate is None:
+        return
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(config.tls_certificate, config.tls_key)
+    except OSError as error:
+        files = f"{config.tls_certificate} and {config.tls_key}"
+        raise ConfigError(f"server.tls_certificate: {files} cannot be used ({error})") from None
 
 
 def _ready(config: ServerConfig, listener: socket.socket, hand_port: int) -> Ready:

@@ -15,13 +15,13 @@ router = APIRouter(prefix="/trials", tags=["trials"])
 @router.get("")
 async def list_trials(parts: Context) -> list[dict[str, Any]]:
     """Return all trials, oldest first; they are read from the disk, which the rig must not wait for."""
-    return await asyncio.to_thread(parts.rig.trials)
+    return await asyncio.to_thread(parts.rig.trials.list)
 
 
 @router.post("", status_code=201)
 async def start_trial(parts: Context, body: TrialBody, _: Operator) -> dict[str, Any]:
     """Begin a trial; 409 with the reason while another runs."""
-    return await parts.rig.start_trial(body.participant, body.condition, body.operator_kind, body.notes)
+    return parts.rig.trials.start(body.participant, body.condition, body.operator_kind, body.notes)
 
 
 @router.get("/{trial_id}")
@@ -36,4 +36,4 @@ async def get_trial(parts: Context, trial_id: str) -> dict[str, Any]:
 @router.post("/{trial_id}/end")
 async def end_trial(parts: Context, trial_id: str, _: Operator) -> dict[str, Any]:
     """End the running trial and return its result."""
-    return await parts.rig.end_trial(trial_id)
+    return await parts.rig.trials.end(trial_id)

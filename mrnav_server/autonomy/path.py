@@ -152,9 +152,6 @@ class PathPlanner:
     ) -> tuple[FloatArray, str]:
         """Return the policy's route in the grid that it was trained in, and why it failed, or ""."""
         begin_px = np.rint([start.x_px, start.y_px])
-        if not is_free(self._vessel.free, begin_px):
-            # A robot that leans on the wall is just outside the free space.
-            begin_px = self._graph.nodes_px[self._graph.nearest(start.x_px, start.y_px)].astype(np.float64)
         end_px = np.array([end.x_px, end.y_px])
         at_px = begin_px
         route = [np.array([start.x_px, start.y_px])]

@@ -13,6 +13,8 @@ Vector = tuple[float, float]
 _STILL: Vector = (0.0, 0.0)
 _LONGEST_GAP_S = 0.15
 """Two sightings further apart than this tell no velocity."""
+_FASTEST_UM_PER_S = 8000.0
+"""Anything faster is the tracker that found the robot again elsewhere."""
 _LEAST_LEASH_UM = 10.0
 _FREE_UM = 30.0
 """A robot nearer to the wall may lean on it, and then tells nothing about the magnet."""
@@ -124,6 +126,6 @@ class RobotWatch:
 
     def _velocity_um_per_s(self, taken_s: float, robot_um: Vector) -> Vector:
         gap_s = taken_s - self.seen_s
-        if gap_s > _LONGEST_GAP_S:
+        if gap_s > _LONGEST_GAP_S or math.dist(robot_um, self.seen_um) > _FASTEST_UM_PER_S * gap_s:
             return _STILL
         return (robot_um[0] - self.seen_um[0]) / gap_s, (robot_um[1] - self.seen_um[1]) / gap_s

@@ -1,11 +1,14 @@
 """The critical areas that were marked: where autonomy hands over."""
 
+from collections.abc import Callable
+
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.frames import VesselPoint
 from mrnav_server.core.records import CriticalArea
 from mrnav_server.core.vessel import VesselMap
 
 _EPSILON_RANGE_UM = (50.0, 3000.0)
+_MOST = 100
 
 
 class CriticalAreas:
@@ -13,10 +16,12 @@ class CriticalAreas:
 
     Args:
         vessel: Areas must lie where the robot fits.
+        on_change: Called after every change.
     """
 
-    def __init__(self, vessel: VesselMap) -> None:
+    def __init__(self, vessel: VesselMap, on_change: Callable[[], None] = lambda: None) -> None:
         self._vessel = vessel
+        self._on_change = on_change
         self._areas: dict[str, CriticalArea] = {}
         self._made = 0
 
@@ -42,6 +47,8 @@ class CriticalAreas:
             RefusedError: If it lies where the robot cannot go, or its radius is out of range.
         """
         self._check(center, epsilon_um)
+        if len(self._areas) >= _MOST:
+            raise RefusedError("too_many_areas", f"{_MOST} areas are marked: remove some first")
         self._made += 1
         return self._store(CriticalArea(f"area-{self._made}", center, epsilon_um, label))
 
@@ -63,9 +70,11 @@ class CriticalAreas:
         """
         self.get(area_id)
         del self._areas[area_id]
+        self._on_change()
 
     def _store(self, area: CriticalArea) -> CriticalArea:
         self._areas[area.id] = area
+        self._on_change()
         return area
 
     def _check(self, center: VesselPoint, epsilon_um: float) -> None:

@@ -66,7 +66,8 @@ class ControlLoop:
         lease: Who controls the rig.
         hand: The operator's hand.
         autopilot: Drives in AUTO.
-        log: Called with a topic and a payload for everything that the record of a trial needs.
+        log: Called with a topic and a payload for every command.
+        on_change: Called with every change of mode.
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class ControlLoop:
         hand: HandControl,
         autopilot: Autopilot,
         log: Log,
+        on_change: Callable[[Transition], None],
     ) -> None:
         self.machine = ModeMachine()
         self.shaper = Shaper(limits)
@@ -97,6 +99,7 @@ class ControlLoop:
         self._hand = hand
         self._autopilot = autopilot
         self._log = log
+        self._tell_change = on_change
         self._following = FollowingError(guards)
         self._asks: list[Ask] = []
         self._track: Track | None = None
@@ -220,8 +223,7 @@ class ControlLoop:
 
     def _gather(self, now_s: float, *, closing: bool = False) -> Facts:
         self._read_tip()
-        for session in self._lease.expire(now_s):
-            self._log("event", {"event": "lease", "what": "expired", "session": session})
+        self._lease.expire(now_s)
         lease = self._lease.state()
         if not lease.hand:
             self._hand.lose()
@@ -275,9 +277,6 @@ class ControlLoop:
         return tip_um <= self._area.epsilon_um and (robot_there or not self._config.require_robot)
 
     def _on_change(self, change: Transition, now_s: float) -> None:
-        self._log(
-            "mode", {"before": change.before.value, "mode": change.after.value, "reason": change.reason}
-        )
         if change.before is Mode.AUTO:
             self._autopilot.end()
         if change.after in (Mode.STOP, Mode.FAULT):
@@ -290,6 +289,7 @@ class ControlLoop:
         self._supervised_by_hand = change.after is Mode.AUTO and self._lease.state().hand
         if change.after is Mode.AUTO and self._seen is not None and self._tip is not None:
             self._autopilot.begin(self._seen, self._tip, now_s)
+        self._tell_change(change)
 
     def _wish(self, mode: Mode, now_s: float) -> Reference | None:
         """Return where the mode wants the tip, limited; None to come to rest."""

@@ -67,17 +67,14 @@ _RANGES = {
     "systematic_um": (0.01, 100),
 }
 
-_BLACK_BELOW = 8
-"""A picture with no sample brighter than this many gray levels shows nothing."""
-
 
 class Tracker:
     """Follows one robot: SEARCHING -> ACQUIRING -> TRACKING, and back when it is lost.
 
     A frame is rejected when the rim's confidence or radius is wrong, or when it lies outside the gate
     around the prediction. After ``misses_to_lose`` of them in a row the robot is lost and each frame is
-    searched as a whole. A black frame, or one that repeats the frame before bit for bit, is a miss too:
-    noise alone makes two true pictures differ.
+    searched as a whole. A frame that repeats the one before bit for bit is a miss too: noise alone makes
+    two true pictures differ.
 
     Args:
         config: How the robot is recognised.
@@ -108,12 +105,12 @@ class Tracker:
 
     def update(self, frame: Frame) -> Track:
         """Return what a frame shows of the robot; frames come in order of their capture time."""
-        shows_something = self._is_new(frame.image)
+        is_new = self._is_new(frame.image)
         if self._filter is not None:
             self._filter.predict(max(frame.taken_s - self._taken_s, 0.0))
         self._taken_s = frame.taken_s
         found = None
-        if shows_something:
+        if is_new:
             found = (
                 self._search(frame.image) if self._filter is None else self._follow(frame.image, self._filter)
             )
@@ -124,12 +121,10 @@ class Tracker:
         return self._track(frame, found)
 
     def _is_new(self, image: ByteArray) -> bool:
-        """Tell whether a picture is neither black nor the one before, by a sparse sample."""
+        """Tell whether a picture differs from the one before, by a sparse sample."""
         sample = image[7::101, 3::7, 1].copy()
         before, self._sample = self._sample, sample
-        return int(sample.max(initial=0)) >= _BLACK_BELOW and not (
-            before is not None and np.array_equal(sample, before)
-        )
+        return before is None or not np.array_equal(sample, before)
 
     def _search(self, image: ByteArray) -> RimEstimate | None:
         found = self._redetector.find(image)

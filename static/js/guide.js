@@ -57,8 +57,6 @@ export function autoRefusal(known) {
     return state.mode === "DISARMED" ? "Arm first." : "Reset first.";
   }
   if (!chosen) return "Mark a critical area: click on the image.";
-  // Before the first ask the server knows no area, so its answer is not about the chosen one.
-  if (state.critical_area === null) return "";
   return state.auto_ready ? "" : sentence(state.auto_refusal || "The server is not ready for Auto.");
 }
 

@@ -1,8 +1,8 @@
 import pytest
-from fake_rig import SETTINGS, FakeRig
 from fastapi import FastAPI
 
 from mrnav_server.app.server import create_app
+from tests.app.fake_rig import SETTINGS, FakeRig
 
 
 @pytest.fixture

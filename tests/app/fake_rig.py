@@ -1,7 +1,7 @@
 """A rig without devices: what the server asks of it is noted, what it publishes is put by the test."""
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
@@ -63,6 +63,24 @@ def vessel() -> VesselMap:
     return vessel_map("straight", mask)
 
 
+class FakeTrials:
+    def __init__(self, note: Callable[..., None]) -> None:
+        self._note = note
+        self._trials: list[dict[str, Any]] = []
+
+    def list(self) -> list[dict[str, Any]]:
+        return self._trials
+
+    def start(self, participant: str, condition: str, operator_kind: str, notes: str) -> dict[str, Any]:
+        self._note("start_trial", participant)
+        self._trials.append({"id": f"trial-{len(self._trials) + 1}", "participant": participant})
+        return self._trials[-1]
+
+    async def end(self, trial_id: str) -> dict[str, Any]:
+        self._note("end_trial", trial_id)
+        return {"id": trial_id, "duration_s": 1.0}
+
+
 class FakeRig:
     """Satisfies ``app.rig_port.RigPort``."""
 
@@ -86,7 +104,7 @@ class FakeRig:
         self.refusal: RefusedError | None = None
         self.not_ready: list[str] = []
         self.failure: Exception | None = None
-        self._trials: list[dict[str, Any]] = []
+        self.trials = FakeTrials(self._note)
 
     def publish(self, seq: int = 1, **changes: Any) -> None:  # noqa: ANN401 - any field of a state
         self.states.put(replace(STATE, seq=seq, **changes))
@@ -123,20 +141,6 @@ class FakeRig:
 
     def readiness(self) -> list[str]:
         return self.not_ready
-
-    async def start_trial(
-        self, participant: str, condition: str, operator_kind: str, notes: str
-    ) -> dict[str, Any]:
-        self._note("start_trial", participant)
-        self._trials.append({"id": f"trial-{len(self._trials) + 1}", "participant": participant})
-        return self._trials[-1]
-
-    async def end_trial(self, trial_id: str) -> dict[str, Any]:
-        self._note("end_trial", trial_id)
-        return {"id": trial_id, "duration_s": 1.0}
-
-    def trials(self) -> list[dict[str, Any]]:
-        return self._trials
 
     async def run(self, started: asyncio.Event) -> None:
         self.publish()

@@ -9,11 +9,11 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from fake_rig import OPERATOR_TOKEN, SETTINGS, VIEWER_TOKEN, FakeRig
 
 from mrnav_server.app.serve import Ready, bound_socket, serve
 from mrnav_server.core.errors import ConfigError, DeviceError
 from mrnav_server.settings import Settings
+from tests.app.fake_rig import OPERATOR_TOKEN, SETTINGS, VIEWER_TOKEN, FakeRig
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -72,6 +72,12 @@ def test_a_taken_port_is_a_configuration_error() -> None:
         taken = Settings.model_validate({"server": {"port": port}})
         with pytest.raises(ConfigError, match=f"port {port}"):
             serve(FakeRig, taken, lambda _: None)
+
+
+def test_a_certificate_that_cannot_be_used_is_a_configuration_error(tmp_path: Path) -> None:
+    server = {"tls_certificate": str(tmp_path / "no.pem"), "tls_key": str(tmp_path / "no.key")}
+    with pytest.raises(ConfigError, match="tls_certificate"):
+        serve(FakeRig, Settings.model_validate({"server": server}), lambda _: None)
 
 
 def test_a_failing_rig_ends_the_process() -> None:

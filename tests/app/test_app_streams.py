@@ -15,15 +15,15 @@ import cv2
 import httpx
 import numpy as np
 import pytest
-from fake_rig import OPERATOR_TOKEN, VIEWER_TOKEN, FakeRig, listening
 from fastapi import FastAPI
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from mrnav_server.app import connections, twin, video
+from mrnav_server.app import connections, guards, twin, video
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.records import Frame
 from mrnav_server.loops.ticks import ticks
+from tests.app.fake_rig import OPERATOR_TOKEN, VIEWER_TOKEN, FakeRig, listening
 
 TOKENS = {"operator": OPERATOR_TOKEN, "viewer": VIEWER_TOKEN}
 
@@ -348,6 +348,15 @@ async def test_mjpeg_parts(site: Site) -> None:
     assert rest[:2] == b"\xff\xd8"
     site.rig.show(3)
     await gone(lambda: site.app.state.context.video.clients)
+
+
+async def test_bodies_have_a_deadline(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guards, "_BODY_TIMEOUT_S", 0.1)
+    reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+    head = f"POST /api/v1/mode HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {OPERATOR_TOKEN}\r\n"
+    writer.write(f"{head}Content-Length: 9\r\n\r\n".encode())
+    assert (await reader.readline()).split()[1] == b"408"
+    writer.close()
 
 
 async def test_headers_have_a_deadline(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:

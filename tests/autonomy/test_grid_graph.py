@@ -124,5 +124,5 @@ def test_what_is_cut_off_is_refused() -> None:
 def test_nonsense_is_refused() -> None:
     with pytest.raises(ConfigError, match="cell_px"):
         GridGraph(room(wall_to_px=0), cell_px=0)
-    with pytest.raises(ConfigError, match="no node fits"):
+    with pytest.raises(ConfigError, match="node fits"):
         GridGraph(room(wall_to_px=0), cell_px=1000)

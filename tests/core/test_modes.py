@@ -104,12 +104,11 @@ def test_disarmed_is_reachable_from_everywhere(mode: Mode) -> None:
 def test_disarming_while_moving_comes_to_rest_first() -> None:
     machine = machine_in(Mode.AUTO)
     moving = Facts(True, True, False, at_rest=False, arrived=False)
-    machine.settle([Ask.DISARM], moving)
-    assert machine.mode is Mode.HOLD
-    machine.settle([], moving)
-    assert machine.mode is Mode.HOLD
-    machine.settle([], GOOD)
-    assert machine.mode is Mode.DISARMED
+    modes = []
+    for asks, facts in (([Ask.DISARM], moving), ([], moving), ([], GOOD)):
+        machine.settle(asks, facts)
+        modes.append(machine.mode)
+    assert modes == [Mode.HOLD, Mode.HOLD, Mode.DISARMED]
 
 
 def test_arrival_hands_over_and_without_a_hand_holds() -> None:

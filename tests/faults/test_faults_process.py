@@ -2,17 +2,15 @@
 
 import signal
 import time
-from typing import TYPE_CHECKING
 
 import pytest
 
-if TYPE_CHECKING:
-    from tests.faults.conftest import RigProcess
+from tests.faults.conftest import RigProcess
 
 CEILING_S = 1.0
 
 
-def drive(rig: "RigProcess", mode: str) -> None:
+def drive(rig: RigProcess, mode: str) -> None:
     """Bring the rig into MANUAL or AUTO, in motion where the mode moves by itself."""
     if mode == "AUTO":
         rig.ask("auto")
@@ -26,7 +24,7 @@ def drive(rig: "RigProcess", mode: str) -> None:
 @pytest.mark.parametrize("mode", ["MANUAL", "AUTO"])
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_an_operator_that_dies_or_freezes_holds_the_rig(
-    rig_process: "RigProcess", mode: str, how: signal.Signals
+    rig_process: RigProcess, mode: str, how: signal.Signals
 ) -> None:
     rig = rig_process
     rig.start_operator()
@@ -45,7 +43,7 @@ def test_an_operator_that_dies_or_freezes_holds_the_rig(
     assert after == []
 
 
-def test_sigterm_stops_the_manipulator_and_exits_cleanly(rig_process: "RigProcess") -> None:
+def test_sigterm_stops_the_manipulator_and_exits_cleanly(rig_process: RigProcess) -> None:
     rig = rig_process
     rig.start_operator()
     trial = rig.begin_trial()
@@ -59,7 +57,7 @@ def test_sigterm_stops_the_manipulator_and_exits_cleanly(rig_process: "RigProces
     assert [line for line in lines if line.topic == "command" and line.t_s > stopped[0].t_s] == []
 
 
-def test_stop_is_one_request_from_anyone_and_latches(rig_process: "RigProcess") -> None:
+def test_stop_is_one_request_from_anyone_and_latches(rig_process: RigProcess) -> None:
     rig = rig_process
     rig.start_operator()
     rig.begin_trial()

@@ -53,6 +53,7 @@ class LockStep:
             vessel.um_per_px,
             "",
         )
+        self.changes: list[str] = []
         self.lines: list[tuple[float, str, dict[str, Any]]] = []
         self.control = ControlLoop(
             ControlConfig(),
@@ -65,6 +66,7 @@ class LockStep:
             self.hand,
             self.autopilot,
             lambda topic, data: self.lines.append((self.now_s, topic, data)),
+            lambda change: self.changes.append(change.after.value),
         )
         self.hand_alive = True
         self.camera_alive = True
@@ -76,13 +78,8 @@ class LockStep:
         self._next_frame_s = self._next_hand_s = self.now_s
         self._hands = 0
 
-    @property
-    def mode(self) -> Mode:
-        return self.control.machine.mode
-
-    @property
-    def modes(self) -> list[str]:
-        return [data["mode"] for _, topic, data in self.lines if topic == "mode"]
+    def is_in(self, mode: Mode) -> bool:
+        return self.control.machine.mode is mode
 
     def commands(self) -> list[dict[str, Any]]:
         return [data for _, topic, data in self.lines if topic == "command"]
@@ -107,8 +104,8 @@ class LockStep:
     def advance_until(self, mode: Mode, span_s: float) -> float:
         """Advance until a mode is in force; return how long it took."""
         began_s = self.now_s
-        while self.mode is not mode:
-            assert self.now_s - began_s < span_s, f"still {self.mode} after {span_s} s"
+        while not self.is_in(mode):
+            assert self.now_s - began_s < span_s, f"still {self.control.machine.mode} after {span_s} s"
             self.tick()
         return self.now_s - began_s
 
@@ -170,6 +167,6 @@ def driving(rig: LockStep) -> LockStep:
     rig.ask(Ask.ARM)
     rig.start_auto()
     rig.advance(0.8)
-    assert rig.mode is Mode.AUTO
+    assert rig.is_in(Mode.AUTO)
     assert rig.control.shaper.speed_um_per_s > 1000.0
     return rig

@@ -1,7 +1,6 @@
 """The control loop as a whole, in simulated time: hand-over, take-over, faults, and what never moves."""
 
 import math
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -9,20 +8,18 @@ from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.frames import StagePoint
 from mrnav_server.core.modes import Ask, Mode
 from mrnav_server.core.shaping import Reference
-
-if TYPE_CHECKING:
-    from tests.loops.conftest import LockStep
+from tests.loops.conftest import LockStep
 
 TICK_S = 0.01
 
 
-def test_autonomy_arrives_and_hands_over_without_touching(rig: "LockStep") -> None:
+def test_autonomy_arrives_and_hands_over_without_touching(rig: LockStep) -> None:
     rig.mark()
     rig.ask(Ask.ARM)
-    assert rig.mode is Mode.MANUAL
+    assert rig.is_in(Mode.MANUAL)
     rig.start_auto()
     rig.advance_until(Mode.MANUAL, 10.0)
-    assert rig.modes == ["MANUAL", "AUTO", "MANUAL"]
+    assert rig.changes == ["MANUAL", "AUTO", "MANUAL"]
     rig.advance(1.0)
     assert rig.control.distance_um is not None
     assert rig.control.distance_um < 600.0
@@ -30,12 +27,12 @@ def test_autonomy_arrives_and_hands_over_without_touching(rig: "LockStep") -> No
     assert rig.control.shaper.at_rest
 
 
-def test_every_setpoint_keeps_the_bounds_through_a_whole_task(rig: "LockStep") -> None:
+def test_every_setpoint_keeps_the_bounds_through_a_whole_task(rig: LockStep) -> None:
     rig.mark()
     rig.ask(Ask.ARM)
     rig.start_auto()
     before = (0.0, 0.0, 0.0)
-    while rig.mode is Mode.AUTO:
+    while rig.is_in(Mode.AUTO):
         rig.tick()
         after = rig.control.shaper.acceleration_um_per_s2
         # Each tick holds up to two steps: the beat and a hand sample.
@@ -49,11 +46,11 @@ def test_every_setpoint_keeps_the_bounds_through_a_whole_task(rig: "LockStep") -
         assert all(0.0 <= value <= 20_000.0 for value in command["target_um"])
 
 
-def test_closing_the_clutch_takes_over_in_the_same_step(driving: "LockStep") -> None:
+def test_closing_the_clutch_takes_over_in_the_same_step(driving: LockStep) -> None:
     before, velocity = driving.control.shaper.position, driving.control.shaper.velocity_um_per_s
     driving.clutch = True
     driving.send_hand()
-    assert driving.mode is Mode.MANUAL
+    assert driving.is_in(Mode.MANUAL)
     # The setpoint on entering MANUAL is the setpoint before: position and velocity are continuous.
     assert driving.control.shaper.position == before
     assert driving.control.shaper.velocity_um_per_s == velocity
@@ -63,7 +60,7 @@ def test_closing_the_clutch_takes_over_in_the_same_step(driving: "LockStep") -> 
     assert modes == {"MANUAL"}
 
 
-def test_the_hand_moves_the_tip_only_while_the_clutch_is_closed(rig: "LockStep") -> None:
+def test_the_hand_moves_the_tip_only_while_the_clutch_is_closed(rig: LockStep) -> None:
     rig.ask(Ask.ARM)
     rig.hand_x_m = 0.05
     rig.advance(0.5)
@@ -85,7 +82,7 @@ def test_the_hand_moves_the_tip_only_while_the_clutch_is_closed(rig: "LockStep")
 
 
 @pytest.mark.parametrize("autonomous", [False, True])
-def test_a_silent_hand_holds_within_its_deadline(rig: "LockStep", autonomous: bool) -> None:
+def test_a_silent_hand_holds_within_its_deadline(rig: LockStep, autonomous: bool) -> None:
     rig.mark()
     rig.ask(Ask.ARM)
     if autonomous:
@@ -103,12 +100,12 @@ def test_a_silent_hand_holds_within_its_deadline(rig: "LockStep", autonomous: bo
     rig.hand_alive = True
     rig.advance(0.5)
     # The hand is back with its clutch still closed: nothing resumes by itself.
-    assert rig.mode is Mode.HOLD
+    assert rig.is_in(Mode.HOLD)
     assert rig.control.shaper.position == rested
     assert len(rig.commands()) == commands
 
 
-def test_a_console_supervises_alone_but_does_not_stand_in_for_a_lost_hand(rig: "LockStep") -> None:
+def test_a_console_supervises_alone_but_does_not_stand_in_for_a_lost_hand(rig: LockStep) -> None:
     rig.lease.take_console("page", "page", rig.now_s)
     rig.mark()
     rig.ask(Ask.ARM)
@@ -116,74 +113,74 @@ def test_a_console_supervises_alone_but_does_not_stand_in_for_a_lost_hand(rig: "
     rig.lease.give_back("hand")
     rig.hand_alive = False
     rig.tick()
-    assert rig.mode is Mode.HOLD
+    assert rig.is_in(Mode.HOLD)
     rig.start_auto()
     for _ in range(30):
         rig.lease.hear("page", rig.now_s)
         rig.tick()
-    assert rig.mode is Mode.AUTO
+    assert rig.is_in(Mode.AUTO)
     assert rig.advance_until(Mode.HOLD, 2.0) <= 0.5 + 2 * TICK_S
 
 
-def test_after_a_hold_the_clutch_must_be_closed_anew(rig: "LockStep") -> None:
+def test_after_a_hold_the_clutch_must_be_closed_anew(rig: LockStep) -> None:
     rig.ask(Ask.ARM)
     rig.clutch = True
     rig.advance(0.1)
     rig.ask(Ask.HOLD)
     rig.advance(0.3)
-    assert rig.mode is Mode.HOLD
+    assert rig.is_in(Mode.HOLD)
     rig.clutch = False
     rig.advance(0.1)
     rig.clutch = True
     rig.advance(0.1)
-    assert rig.mode is Mode.MANUAL
+    assert rig.is_in(Mode.MANUAL)
 
 
-def test_a_camera_that_stops_holds_autonomy(driving: "LockStep") -> None:
+def test_a_camera_that_stops_holds_autonomy(driving: LockStep) -> None:
     driving.camera_alive = False
     assert driving.advance_until(Mode.HOLD, 1.0) <= 0.1 + 2 * TICK_S
     assert "last seen" in driving.control.machine.reason
 
 
-def test_a_dropped_robot_holds_autonomy(driving: "LockStep") -> None:
+def test_a_dropped_robot_holds_autonomy(driving: LockStep) -> None:
     driving.world.drop_robot()
     driving.advance_until(Mode.HOLD, 3.0)
     assert driving.control.machine.reason
 
 
-def test_stop_is_one_step_and_latches(driving: "LockStep") -> None:
+def test_stop_is_one_step_and_latches(driving: LockStep) -> None:
     driving.ask(Ask.STOP)
-    assert driving.mode is Mode.STOP
+    assert driving.is_in(Mode.STOP)
     commands = len(driving.commands())
     tip = driving.world.tip
     driving.clutch = True
     driving.advance(1.0)
-    assert driving.mode is Mode.STOP
+    assert driving.is_in(Mode.STOP)
     assert len(driving.commands()) == commands
     assert math.dist(tip.array(), driving.world.tip.array()) < 1.0
     driving.ask(Ask.RESET)
-    assert driving.mode is Mode.DISARMED
+    assert driving.is_in(Mode.DISARMED)
 
 
-def test_a_failed_manipulator_is_a_fault_until_it_works_again(driving: "LockStep") -> None:
+def test_a_failed_manipulator_is_a_fault_until_it_works_again(driving: LockStep) -> None:
     driving.manipulator.fail()
     driving.tick()
-    assert driving.mode is Mode.FAULT
+    assert driving.is_in(Mode.FAULT)
     with pytest.raises(RefusedError, match="manipulator"):
         driving.ask(Ask.RESET)
     driving.manipulator.recover()
     driving.ask(Ask.RESET)
-    assert driving.mode is Mode.DISARMED
+    assert driving.is_in(Mode.DISARMED)
 
 
-def test_a_mute_manipulator_is_a_fault_within_200_ms(driving: "LockStep") -> None:
+def test_a_mute_manipulator_is_a_fault_within_200_ms(driving: LockStep) -> None:
     driving.manipulator.mute()
     assert driving.advance_until(Mode.FAULT, 1.0) <= 0.2 + TICK_S
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_number_that_is_not_finite_moves_nothing_and_is_counted(
-    driving: "LockStep", bad: float, monkeypatch: pytest.MonkeyPatch
+    driving: LockStep, bad: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = Reference(StagePoint(bad, 0.0, 0.0), (0.0, 0.0, 0.0), 4500.0)
     monkeypatch.setattr(driving.autopilot, "reference", lambda *_: broken)
@@ -194,21 +191,21 @@ def test_a_number_that_is_not_finite_moves_nothing_and_is_counted(
         assert all(map(math.isfinite, command["target_um"]))
 
 
-def test_without_a_lease_nothing_starts(rig: "LockStep") -> None:
+def test_without_a_lease_nothing_starts(rig: LockStep) -> None:
     rig.lease.give_back("hand")
     with pytest.raises(RefusedError, match="lease"):
         rig.ask(Ask.ARM)
 
 
-def test_a_lease_that_ends_holds(rig: "LockStep") -> None:
+def test_a_lease_that_ends_holds(rig: LockStep) -> None:
     rig.ask(Ask.ARM)
     rig.lease.give_back("hand")
     rig.tick()
-    assert rig.mode is Mode.HOLD
+    assert rig.is_in(Mode.HOLD)
     assert "lease" in rig.control.machine.reason
 
 
-def test_a_policy_that_was_not_verified_leaves_manual_working(rig: "LockStep") -> None:
+def test_a_policy_that_was_not_verified_leaves_manual_working(rig: LockStep) -> None:
     rig.autopilot.refusal = "the policy cannot be used: its sha256 is wrong"
     rig.mark()
     rig.ask(Ask.ARM)
@@ -218,12 +215,12 @@ def test_a_policy_that_was_not_verified_leaves_manual_working(rig: "LockStep") -
     rig.advance(0.1)
     rig.hand_x_m += 0.005
     rig.advance(0.3)
-    assert rig.mode is Mode.MANUAL
+    assert rig.is_in(Mode.MANUAL)
     assert rig.commands()
 
 
-def test_a_recorder_that_fails_holds_autonomy(driving: "LockStep") -> None:
+def test_a_recorder_that_fails_holds_autonomy(driving: LockStep) -> None:
     driving.control.recorder_fault = lambda: "the trial's log cannot be written: disk full"
     driving.tick()
-    assert driving.mode is Mode.HOLD
+    assert driving.is_in(Mode.HOLD)
     assert "disk full" in driving.control.machine.reason

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from rendered_bench import Bench
 
 from mrnav_server.core.frames import StagePoint, VesselPoint
 from mrnav_server.vision.redetect import Redetector
 from mrnav_server.vision.rim import RimFit
+from tests.vision.rendered_bench import Bench
 
 
 @pytest.fixture

@@ -83,6 +83,14 @@ def test_half_a_disc_is_still_exact_and_says_that_it_knows_less() -> None:
     assert half.sigma_px > 2.0 * whole.sigma_px
 
 
+def test_a_dark_wall_that_touches_the_disc_does_not_pull_it() -> None:
+    picture = disc(100.0, 100.0, 33.3, 40.0, 190.0)
+    picture[:, 133:139] = 40
+    found = RimFit(33.3, 25.0, 0.05).fit(picture, 100.0, 100.0)
+    assert found.x_px == pytest.approx(100.0, abs=0.1)
+    assert found.confidence > 0.7
+
+
 def test_confidence_falls_with_contrast() -> None:
     rim = RimFit(33.3, 25.0, 0.05)
     strong, faint = (

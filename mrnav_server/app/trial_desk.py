@@ -1,0 +1,129 @@
+"""Trials as clients begin, end and list them."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from mrnav_server import __version__
+from mrnav_server.app.bench import Bench
+from mrnav_server.app.navigator import Navigator
+from mrnav_server.app.reporting import ReportError, trial_report
+from mrnav_server.app.telemetry import Telemetry
+from mrnav_server.core.errors import RefusedError
+from mrnav_server.core.vessel import VesselMap
+from mrnav_server.core.wire_twin import calibration_fields
+from mrnav_server.loops.control import ControlLoop
+from mrnav_server.loops.recorder import Recorder
+from mrnav_server.loops.trial_log import Condition, OperatorKind, TrialHeader, list_trials
+from mrnav_server.loops.trial_marks import TrialMarks
+from mrnav_server.settings import Settings
+
+
+class TrialDesk:
+    """Begins and ends trials.
+
+    Args:
+        settings: Their digest goes into every record.
+        root: Folder of all trials.
+        recorder: Writes the log.
+        vessel: The vessel model.
+        bench: Calibration, and the simulated world if there is one.
+        control: Where the robot is and where it shall go.
+        navigator: Which policy is in use.
+        marks: Contacts and whether the target was reached.
+        telemetry: Latencies and counters.
+        announce: Tells everybody what happened, and records it.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        root: Path,
+        recorder: Recorder,
+        vessel: VesselMap,
+        bench: Bench,
+        control: ControlLoop,
+        navigator: Navigator,
+        marks: TrialMarks,
+        telemetry: Telemetry,
+        announce: Callable[[str, Mapping[str, object]], None],
+    ) -> None:
+        self._settings = settings
+        self._root = root
+        self._recorder = recorder
+        self._vessel = vessel
+        self._bench = bench
+        self._control = control
+        self._navigator = navigator
+        self._marks = marks
+        self._telemetry = telemetry
+        self._announce = announce
+
+    def list(self) -> list[dict[str, Any]]:
+        """Describe the trials on disk, oldest first."""
+        return [
+            {"id": info.id, "status": info.status, **dataclasses.asdict(info.header)}
+            for info in list_trials(self._root)
+        ]
+
+    def start(
+        self, participant: str, condition: Condition, operator_kind: OperatorKind, notes: str
+    ) -> dict[str, Any]:
+        """Begin a trial: its log, its marks and its latencies start now.
+
+        Raises:
+            RefusedError: While another runs, or if it cannot be recorded.
+        """
+        area, robot = self._control.area, self._control.robot
+        header = TrialHeader(
+            participant=participant,
+            condition=condition,
+            operator_kind=operator_kind,
+            simulated_rig=self._bench.world is not None,
+            software_version=__version__,
+            configuration_sha256=self._settings.digest(),
+            vessel=self._vessel.name,
+            vessel_sha256=self._vessel.digest,
+            um_per_px=self._vessel.um_per_px,
+            calibration=calibration_fields(self._bench.calibration),
+            start_px=(robot.x_px, robot.y_px) if robot else None,
+            area_id=area.id if area else None,
+            area_px=(area.center.x_px, area.center.y_px) if area else None,
+            area_epsilon_um=area.epsilon_um if area else None,
+            policy_sha256=self._navigator.policy_sha256,
+            seeds={"sim": self._settings.sim.seed, "policy": self._settings.autopilot.seed},
+            notes=notes,
+        )
+        trial_id = self._recorder.start_trial(header)
+        self._marks.restart()
+        self._telemetry.restart()
+        self._announce("trial", {"mark": "start", "id": trial_id})
+        return {"id": trial_id, "folder": str(self._root / trial_id)}
+
+    async def end(self, trial_id: str) -> dict[str, Any]:
+        """End the running trial; return its marks, latencies and metrics. Its log is safe on disk.
+
+        Raises:
+            RefusedError: If this trial is not the running one.
+        """
+        if trial_id != self._recorder.trial:
+            raise RefusedError("no_such_trial", f"trial {trial_id!r} is not running")
+        summary = self._marks.summary() | {
+            "id": trial_id,
+            "final_distance_um": self._control.distance_um,
+            "latency_ms": self._telemetry.summary(),
+            "simulated": self._bench.world is not None,
+        }
+        if self._bench.world is not None:
+            truth = self._bench.world
+            summary["simulated_truth"] = {"collisions": truth.collisions, "lifted": truth.lifted}
+        self._announce("trial", {"mark": "end", **summary})
+        folder = await self._recorder.end_trial()
+        if folder is None:
+            return summary
+        try:
+            report: dict[str, Any] = await trial_report(folder)
+        except ReportError as error:
+            report = {"report_error": str(error)}
+        return report | summary | {"folder": str(folder)}
