@@ -7,6 +7,7 @@ from mrnav_server.core.frames import Calibration
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.devices.base import Camera, Manipulator
 from mrnav_server.settings import Settings
+from mrnav_server.sim.clock import WorldClock
 from mrnav_server.sim.devices import SimulatedCamera, SimulatedManipulator
 from mrnav_server.sim.microscope import Microscope
 from mrnav_server.sim.world import SimulatedWorld
@@ -21,12 +22,14 @@ class Bench:
         camera: Looks down on the vessel.
         calibration: What the server goes by.
         world: The simulated world behind the devices; None with real ones.
+        world_clock: Keeps that world on real time.
     """
 
     manipulator: Manipulator
     camera: Camera
     calibration: Calibration
     world: SimulatedWorld | None
+    world_clock: WorldClock | None
 
 
 def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float]) -> Bench:
@@ -40,4 +43,4 @@ def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float
     world = SimulatedWorld(settings.sim, vessel)
     microscope = Microscope(settings.microscope, vessel, world.true_calibration, settings.sim.seed)
     camera = SimulatedCamera(settings.sim, world.snapshot, microscope.render, clock)
-    return Bench(SimulatedManipulator(world), camera, world.calibration, world)
+    return Bench(SimulatedManipulator(world), camera, world.calibration, world, WorldClock(world, clock))

@@ -35,7 +35,7 @@ from mrnav_server.loops.ticks import ticks
 from mrnav_server.loops.tracking import TrackingLoop
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
-from mrnav_server.sim.world import SimulatedWorld
+from mrnav_server.sim.clock import WorldClock
 from mrnav_server.vision.model_store import find_model
 from mrnav_server.vision.tracker import Tracker
 from mrnav_server.vision.vessel_model import load_vessel_model
@@ -102,7 +102,7 @@ class Rig:
         seat = HandSeat(
             self.lease,
             self.hand,
-            step=self._step_for_hand,
+            step=lambda received_s: self._step(self._clock(), received_s),
             hold=self._hold,
             on_message=self._on_message,
             announce=self._announce,
@@ -245,7 +245,7 @@ class Rig:
         # An import or a first inference during control would stall it for up to seconds.
         await self.navigator.load()
         self._recorder.recover()
-        manipulator, camera, world = self.bench.manipulator, self.bench.camera, self.bench.world
+        manipulator, camera = self.bench.manipulator, self.bench.camera
         try:
             camera.open()
             await manipulator.open()
@@ -257,8 +257,9 @@ class Rig:
         )
         try:
             async with asyncio.TaskGroup() as group:
-                if world is not None:
-                    group.create_task(self._run_world(world), name="simulated world")
+                if self.bench.world_clock is not None:
+                    self.bench.world_clock.catch_up()
+                    group.create_task(self._run_world(self.bench.world_clock), name="simulated world")
                 group.create_task(tracking.run(), name="tracking")
                 group.create_task(self._run_control(), name="control")
                 group.create_task(self._run_twin(), name="twin")
@@ -279,18 +280,14 @@ class Rig:
                 await asyncio.shield(self._recorder.end_trial())
             self.navigator.close()
 
-    async def _run_world(self, world: SimulatedWorld) -> None:
-        """The simulator's thin clock."""
-        before_s = self._clock()
-        world.set_time(before_s)
-        async for now_s in ticks(_WORLD_STEP_S, self._clock):
-            world.advance(now_s - before_s)
-            before_s = now_s
+    async def _run_world(self, clock: WorldClock) -> None:
+        async for _ in ticks(_WORLD_STEP_S, self._clock):
+            clock.catch_up()
 
     async def _run_control(self) -> None:
         async for now_s in ticks(self.settings.control.tick_s, self._clock):
             self.telemetry.on_tick(now_s)
-            self.control.step(now_s)
+            self._step(now_s)
 
     async def _run_twin(self) -> None:
         """Publish at every fresh track, and at 60 Hz in between."""
@@ -311,8 +308,15 @@ class Rig:
                 path = await self.navigator.plan_order(order)
                 self.navigator.autopilot.deliver(order, path)
 
-    def _step_for_hand(self, received_s: float) -> None:
-        self.control.on_hand(received_s, self._clock())
+    def _step(self, now_s: float, received_s: float | None = None) -> None:
+        """Step the control loop, at a beat or for a hand sample that was received just now."""
+        if self.bench.world_clock is not None:
+            # After a stall of the process the simulated readings would look stale; real ones would be fresh.
+            self.bench.world_clock.catch_up()
+        if received_s is None:
+            self.control.step(now_s)
+        else:
+            self.control.on_hand(received_s, now_s)
 
     def _hold(self) -> None:
         if self.control.machine.mode in ARMED:

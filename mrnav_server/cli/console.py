@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self
 
@@ -39,8 +40,9 @@ class TwinConsole:
         address = url.replace("http", "ws", 1).rstrip("/") + "/ws/twin"
         headers = {"Authorization": f"Bearer {token}"}
         self._alive = alive
-        self._socket = connect(
-            address, additional_headers=headers, open_timeout=_OPEN_S, max_size=None, proxy=None
+        self._stack = ExitStack()
+        self._socket = self._stack.enter_context(
+            connect(address, additional_headers=headers, open_timeout=_OPEN_S, max_size=None, proxy=None)
         )
         self.snapshot: dict[str, Any] = json.loads(self._socket.recv(timeout=_OPEN_S))
         self.state: State = self.snapshot["state"] or {}
@@ -56,7 +58,7 @@ class TwinConsole:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._socket.close()
+        self._stack.close()
 
     def watch(self, watcher: Callable[[State], None]) -> None:
         """Have a function called with every state from now on."""

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -31,21 +32,22 @@ class RigProcess:
             "MRNAV_SERVER__HAND_PORT": "0",
             "MRNAV_RECORDING__ROOT": str(self.trials),
         }
+        self._stack = ExitStack()
         self.process = subprocess.Popen(
             [*MRNAV, "serve", "--ready-file", str(ready)],
             env=os.environ | settings | env,
             stdout=subprocess.DEVNULL,
-            stderr=(folder / "stderr.txt").open("w"),
+            stderr=self._stack.enter_context((folder / "stderr.txt").open("w")),
         )
         self.operator: subprocess.Popen[bytes] | None = None
         wait_for(lambda: ready.exists() and ready.read_text().endswith("\n"), 60.0, "the ready file")
         self.ready: dict[str, Any] = json.loads(ready.read_text())
         self.url = f"http://127.0.0.1:{self.ready['port']}"
         headers = {"Authorization": f"Bearer {self.ready['operator_token']}"}
-        self._twin = connect(
-            self.url.replace("http", "ws") + "/ws/twin", additional_headers=headers, proxy=None
+        twin = self._stack.enter_context(
+            connect(self.url.replace("http", "ws") + "/ws/twin", additional_headers=headers, proxy=None)
         )
-        self.snapshot = json.loads(self._twin.recv())
+        self.snapshot = json.loads(twin.recv())
         self.state: dict[str, Any] = self.snapshot["state"] or {}
         self.events: list[dict[str, Any]] = []
         self.http = httpx.Client(
@@ -53,7 +55,7 @@ class RigProcess:
             headers=headers | {"X-MRNAV-Session": self.snapshot["session"]},
             trust_env=False,
         )
-        self._reader = threading.Thread(target=self._read, args=(self._twin,), daemon=True)
+        self._reader = threading.Thread(target=self._read, args=(twin,), daemon=True)
         self._reader.start()
 
     def start_operator(self, *arguments: str) -> None:
@@ -99,6 +101,8 @@ class RigProcess:
                 process.kill()
                 process.wait(10)
         self.http.close()
+        self._stack.close()
+        self._reader.join(5)
 
     def _read(self, twin: ClientConnection) -> None:
         beat_s = 0.0
