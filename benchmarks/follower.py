@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mrnav_server.autonomy.follower import FINAL, Follower, FollowerConfig, FollowerStatus
+from mrnav_server.autonomy.follower import Follower
+from mrnav_server.autonomy.following import FINAL, FollowerConfig, FollowerStatus
 from mrnav_server.autonomy.observer import Coupling
 from mrnav_server.autonomy.path import PathPlanner, PlannedPath
 from mrnav_server.autonomy.policy import Policy

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from mrnav_server.autonomy.follower import FollowerConfig
+from mrnav_server.autonomy.following import FollowerConfig
 from mrnav_server.autonomy.path import PathConfig
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.hand import HandConfig

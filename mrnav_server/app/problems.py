@@ -41,16 +41,16 @@ def problem(status: int, code: str, detail: str, **extra: object) -> Response:
 def install_problems(app: FastAPI) -> None:
     """Answer every error of an app with a problem."""
 
-    async def api_error(connection: HTTPConnection, error: Exception) -> Response:
+    async def api_error(connection: HTTPConnection, error: Exception) -> Response | None:
         assert isinstance(error, ApiError)
         return await _answer(connection, problem(error.status, error.code, str(error)))
 
-    async def refused(connection: HTTPConnection, error: Exception) -> Response:
+    async def refused(connection: HTTPConnection, error: Exception) -> Response | None:
         assert isinstance(error, RefusedError)
         status = HTTPStatus.NOT_FOUND if error.code in _MISSING else HTTPStatus.CONFLICT
         return await _answer(connection, problem(status, error.code, str(error)))
 
-    async def invalid(connection: HTTPConnection, error: Exception) -> Response:
+    async def invalid(connection: HTTPConnection, error: Exception) -> Response | None:
         assert isinstance(error, RequestValidationError | WebSocketRequestValidationError)
         faults = [_fault(item) for item in error.errors()]
         detail = "; ".join(f"{fault['field']}: {fault['message']}" for fault in faults)
@@ -59,7 +59,7 @@ def install_problems(app: FastAPI) -> None:
     async def device(_: Request, error: Exception) -> Response:
         return problem(503, "device_failed", str(error))
 
-    async def http(connection: HTTPConnection, error: Exception) -> Response:
+    async def http(connection: HTTPConnection, error: Exception) -> Response | None:
         assert isinstance(error, HTTPException)
         code = _CODES.get(error.status_code, f"http_{error.status_code}")
         return await _answer(connection, problem(error.status_code, code, error.detail))
@@ -79,10 +79,12 @@ def install_problems(app: FastAPI) -> None:
         app.add_exception_handler(kind, handler)
 
 
-async def _answer(connection: HTTPConnection, response: Response) -> Response:
-    if isinstance(connection, WebSocket):
-        await connection.send_denial_response(response)
-    return response
+async def _answer(connection: HTTPConnection, response: Response) -> Response | None:
+    """Return the answer to a request; a WebSocket's handshake is answered here."""
+    if not isinstance(connection, WebSocket):
+        return response
+    await connection.send_denial_response(response)
+    return None
 
 
 def _fault(item: dict[str, Any]) -> dict[str, str]:

@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from mrnav_server.autonomy.follower import Follower, FollowerStatus, FollowerWish
+from mrnav_server.autonomy.follower import Follower
+from mrnav_server.autonomy.following import FollowerStatus, FollowerWish
 from mrnav_server.autonomy.path import PlannedPath
 from mrnav_server.core.frames import StagePoint, VesselPoint
 from mrnav_server.core.records import TipReading, Track
@@ -99,8 +100,7 @@ class Autopilot:
     @property
     def at_target(self) -> bool:
         """Whether the robot rests near the target of the task."""
-        there = self._wish is not None and self._wish.status is FollowerStatus.ARRIVED
-        return there and self._path is not None and not self._path.back_off
+        return self._wish is not None and self._wish.status is FollowerStatus.ARRIVED
 
     def prepare(self, path: PlannedPath, target: VesselPoint) -> None:
         """Take the path of the next task; nothing moves before :meth:`begin`."""
@@ -148,17 +148,19 @@ class Autopilot:
             self._follower.start(self._path, seen, tip, now_s)
             self._fresh_path = False
         if self.order is not None:
+            self._follower.watch(seen, tip)
             return None
         self._wish = wish = self._follower.step(now_s, seen, tip)
         if wish.status is FollowerStatus.REPLAN:
             self.order = PathOrder(seen.vessel, self._target, wish.back_off)
             return None
-        if wish.status is FollowerStatus.ARRIVED and self._path is not None and self._path.back_off:
-            self.order = PathOrder(seen.vessel, self._target, back_off=False)
-            return None
         if wish.status in (FollowerStatus.STUCK, FollowerStatus.LOST):
             return None
         return Reference(StagePoint(*wish.tip_um, z_um), (*wish.velocity_um_per_s, 0.0), self._speed_um_per_s)
+
+    def watch(self, seen: Track | None, tip: TipReading) -> None:
+        """Learn from motion that the operator commands, so that AUTO begins with what MANUAL taught."""
+        self._follower.watch(seen, tip)
 
     def stuck(self, now_s: float) -> str:
         """Return why autonomy gives up, or ""."""

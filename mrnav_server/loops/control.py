@@ -217,6 +217,8 @@ class ControlLoop:
         mode = self.machine.mode
         if mode not in ARMED or self._tip is None:
             return
+        if mode is not Mode.AUTO:
+            self._autopilot.watch(self._seen, self._tip)
         if mode is Mode.MANUAL and facts.clutch_closing and not self._hand.engaged:
             self._hand.engage(self.shaper.position, now_s)
         self._move(dt_s, self._wish(mode, now_s), self._tip, now_s)

@@ -104,6 +104,7 @@ class FakeRig:
         self.refusal: RefusedError | None = None
         self.not_ready: list[str] = []
         self.failure: Exception | None = None
+        self.closing: Callable[[], None] | None = None
         self.trials = FakeTrials(self._note)
 
     def publish(self, seq: int = 1, **changes: Any) -> None:  # noqa: ANN401 - any field of a state
@@ -151,6 +152,8 @@ class FakeRig:
         try:
             await asyncio.Event().wait()
         finally:
+            if self.closing is not None:
+                await asyncio.to_thread(self.closing)
             self.asked.append(("stopped",))
 
     def _note(self, *ask: str) -> None:

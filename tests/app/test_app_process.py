@@ -5,6 +5,7 @@ import os
 import signal
 import stat
 import threading
+import time
 import urllib.request
 from pathlib import Path
 
@@ -50,6 +51,23 @@ def test_clients_may_come_once_it_is_announced() -> None:
         threading.Thread(target=visit, args=(ready.port,)).start()
 
     serve(FakeRig, SETTINGS, announce)
+    assert statuses == [200]
+
+
+def test_clients_see_how_the_rig_stops() -> None:
+    rig, ports, statuses = FakeRig(), list[int](), list[int]()
+
+    def visit() -> None:
+        time.sleep(0.3)  # longer than uvicorn takes to notice that it should end
+        with urllib.request.urlopen(f"http://127.0.0.1:{ports[0]}/healthz", timeout=10) as answer:
+            statuses.append(answer.status)
+
+    def announce(ready: Ready) -> None:
+        ports.append(ready.port)
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM)).start()
+
+    rig.closing = visit
+    serve(lambda _: rig, SETTINGS, announce)
     assert statuses == [200]
 
 

@@ -4,8 +4,10 @@ import asyncio
 import base64
 import contextlib
 import json
+import logging
 import os
 import socket
+import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -49,11 +51,12 @@ class Site:
 
 
 @pytest.fixture
-async def site(rig: FakeRig, app: FastAPI) -> AsyncIterator[Site]:
+async def site(rig: FakeRig, app: FastAPI, caplog: pytest.LogCaptureFixture) -> AsyncIterator[Site]:
     rig.publish()
     async with listening(app) as port:
         yield Site(rig, app, port)
     app.state.context.encoder.close()
+    assert not [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR]
 
 
 async def message(link: ClientConnection, kind: str) -> dict[str, Any]:
@@ -322,6 +325,28 @@ async def test_each_size_is_encoded_once_a_frame(site: Site, monkeypatch: pytest
             for link in (one, two, three):
                 await link.recv()
     assert sorted(encoded) == [(1, 80), (1, 160), (2, 80), (2, 160)]
+
+
+async def test_a_client_that_leaves_takes_no_picture_from_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    encoding = threading.Event()
+
+    def slow(frame: Frame, width_px: int, quality: int) -> bytes:
+        encoding.wait(10.0)
+        return b"jpeg"
+
+    monkeypatch.setattr(video, "encode_jpeg", slow)
+    rig = FakeRig()
+    encoder = video.VideoEncoder(rig.frames)
+    rig.show(1)
+    async with asyncio.TaskGroup() as group:
+        leaving = group.create_task(encoder.newer_than(0, 80, 75))
+        staying = group.create_task(encoder.newer_than(0, 80, 75))
+        await asyncio.sleep(0)
+        leaving.cancel()
+        await asyncio.wait({leaving})
+        encoding.set()
+    assert staying.result()[1] == b"jpeg"
+    encoder.close()
 
 
 async def gone(clients: Callable[[], int]) -> None:

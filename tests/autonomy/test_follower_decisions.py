@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrnav_server.autonomy.follower import Follower, FollowerConfig, FollowerStatus, FollowerWish
+from mrnav_server.autonomy.follower import Follower
+from mrnav_server.autonomy.following import FollowerConfig, FollowerStatus, FollowerWish
 from mrnav_server.autonomy.observer import Coupling
 from mrnav_server.autonomy.path import PlannedPath
 from mrnav_server.autonomy.plane import Plane

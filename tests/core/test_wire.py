@@ -163,6 +163,12 @@ def test_a_number_that_measures_nothing_is_told_from_broken_protocol(literal: st
         parse_message(hand_with("p", f"[0, {literal}, 0]"), ClientFrame.WEBXR)
 
 
+@pytest.mark.parametrize("field", ["seq", "clutch", "unknown"])
+def test_nan_counts_as_a_bad_number_wherever_it_stands(field: str) -> None:
+    with pytest.raises(NumberError):
+        parse_message(hand_with(field, "NaN"), ClientFrame.WEBXR)
+
+
 @pytest.mark.parametrize("literal", ["NaN", "1e999", "9" * 400])
 @pytest.mark.parametrize("field", ["t", "p"])
 def test_the_offending_field_is_named(field: str, literal: str) -> None:

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from tests.faults.conftest import RigProcess
+from tests.rig_process import RigProcess
 
 CEILING_S = 1.0
 

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrnav_server.autonomy.follower import Follower, FollowerConfig
+from mrnav_server.autonomy.follower import Follower
+from mrnav_server.autonomy.following import FollowerConfig
 from mrnav_server.autonomy.path import PathPlanner
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.frames import HandPoint, VesselPoint

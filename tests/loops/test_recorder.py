@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections import namedtuple
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -66,8 +67,7 @@ async def until_fault(trial: Recorder, *, wanted: bool) -> str:
     """Wait until the recorder's fault comes or goes."""
 
     def poll() -> str:
-        while bool(trial.fault) is not wanted:
-            time.sleep(0.005)
+        _poll(lambda: bool(trial.fault) is wanted)
         return trial.fault
 
     return await asyncio.to_thread(poll)
@@ -306,7 +306,7 @@ def test_kill_9_loses_at_most_what_was_not_due_yet(tmp_path: Path) -> None:
     with child.stdout:
         assert child.stdout.readline() == b"ready\n"
         (log,) = tmp_path.glob("*/" + LOG_NAME)
-        _wait_for_bytes(log, 30_000)
+        _poll(lambda: log.stat().st_size > 30_000)
         killed_s = time.monotonic()
         child.send_signal(signal.SIGKILL)
         child.wait()
@@ -318,6 +318,9 @@ def test_kill_9_loses_at_most_what_was_not_due_yet(tmp_path: Path) -> None:
     assert read_trial(tmp_path, interrupted).status == "interrupted"
 
 
-def _wait_for_bytes(log: Path, size: int) -> None:
-    while log.stat().st_size < size:
+def _poll(condition: Callable[[], bool]) -> None:
+    """Wait for another thread or process."""
+    deadline_s = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline_s, "it did not happen within 30 s"
         time.sleep(0.005)
