@@ -76,7 +76,8 @@ def install_problems(app: FastAPI) -> None:
         (HTTPException, http),
         (Exception, bug),
     ):
-        app.add_exception_handler(kind, handler)
+        # Starlette's types know no handler for requests and WebSockets both.
+        app.add_exception_handler(kind, handler)  # type: ignore[arg-type]
 
 
 async def _answer(connection: HTTPConnection, response: Response) -> Response | None:

@@ -38,7 +38,7 @@ class RecorderConfig:
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
 
-    flush_s: float = 0.25
+    flush_s: float = 0.2
     min_free_mb: float = 500.0
 
     def __post_init__(self) -> None:

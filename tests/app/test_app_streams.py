@@ -56,7 +56,8 @@ async def site(rig: FakeRig, app: FastAPI, caplog: pytest.LogCaptureFixture) -> 
     async with listening(app) as port:
         yield Site(rig, app, port)
     app.state.context.encoder.close()
-    assert not [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR]
+    records = caplog.get_records("call") + caplog.get_records("teardown")
+    assert not [record.getMessage() for record in records if record.levelno >= logging.ERROR]
 
 
 async def message(link: ClientConnection, kind: str) -> dict[str, Any]:
