@@ -1,11 +1,14 @@
 """uvicorn's connections with deadlines: a peer that neither talks nor reads is dropped."""
 
 import asyncio
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+if TYPE_CHECKING:
+    from uvicorn._types import ASGISendEvent
 
 HEADER_DEADLINE_S = 5.0
 PING_S = 1.0
@@ -61,6 +64,12 @@ class TimedWebSocket(WebSocketsSansIOProtocol):
         super().connection_made(transport)
         cast(asyncio.Transport, transport).set_write_buffer_limits(0)
         self.close_timeout = _LINGER_S
+
+    async def send(self, message: "ASGISendEvent") -> None:
+        """Send; a refusal completes the handshake too, which uvicorn would log as the app's error."""
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body" and self.close_sent:
+            self.handshake_complete = True
 
     def keepalive_timeout(self) -> None:
         """Drop a peer that does not answer; a closing would wait behind what it does not read."""

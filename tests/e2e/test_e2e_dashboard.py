@@ -84,7 +84,7 @@ def test_a_viewer_sees_all_and_can_only_stop(rig_process: RigProcess, page: Page
 
 def test_without_a_token_the_page_says_what_to_do(rig_process: RigProcess, page: Page) -> None:
     page.goto(rig_process.url)
-    expect(page.get_by_test_id("message-text")).to_contain_text("URL", timeout=PATIENCE_MS)
+    expect(page.get_by_test_id("banner")).to_contain_text("Not signed in", timeout=PATIENCE_MS)
 
 
 def test_data_that_stops_is_shown_as_stale_and_resumes(rig_process: RigProcess, page: Page) -> None:

@@ -1,0 +1,67 @@
+"""How fast running processes react to faults: kills and freezes the operator, and ends the server.
+
+Run from a checkout: ``python -m benchmarks.faults``. Prints one JSON object; times come from the trial
+log's own monotonic stamps. All simulated.
+"""
+
+import argparse
+import json
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from tests.rig_process import RigProcess
+
+
+def hold_after(how: signal.Signals, mode: str, folder: Path) -> dict[str, float]:
+    """Return how long after the operator's last line the rig held, and what it sent meanwhile."""
+    rig = RigProcess(folder)
+    try:
+        rig.start_operator()
+        trial = rig.begin_trial()
+        if mode == "AUTO":
+            rig.ask("auto")
+            rig.until(lambda s: s["mode"] == "AUTO", "AUTO")
+        time.sleep(0.6)
+        assert rig.operator is not None
+        rig.operator.send_signal(how)
+        rig.until(lambda s: s["mode"] == "HOLD", "HOLD", 5.0)
+        time.sleep(0.5)
+        rig.post(f"/api/v1/trials/{trial}/end", {})
+        lines = rig.log(trial)
+    finally:
+        rig.end()
+    hold = next(line for line in lines if line.topic == "mode" and line.data["mode"] == "HOLD")
+    heard_s = max(line.data["received_s"] for line in lines if line.topic == "hand" and line.t_s < hold.t_s)
+    ahead_ms = [line.data["ahead_ms"] for line in lines if line.topic == "command"]
+    return {"hold_ms": 1000 * (hold.t_s - heard_s), "ahead_ms": max(ahead_ms, default=0.0)}
+
+
+def main() -> None:
+    """Measure every fault a few times."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=5)
+    repeats = parser.parse_args().repeats
+    result: dict[str, object] = {"simulated": True}
+    for how in (signal.SIGKILL, signal.SIGSTOP):
+        for mode in ("MANUAL", "AUTO"):
+            runs = []
+            for _ in range(repeats):
+                with tempfile.TemporaryDirectory() as folder:
+                    runs.append(hold_after(how, mode, Path(folder)))
+                print(f"{how.name} in {mode}: HOLD after {runs[-1]['hold_ms']:.1f} ms", file=sys.stderr)
+            held = [run["hold_ms"] for run in runs]
+            result[f"{how.name.lower()}_{mode.lower()}"] = {
+                "hold_ms_median": round(float(np.median(held)), 1),
+                "hold_ms_max": round(max(held), 1),
+                "ahead_ms_max": max(run["ahead_ms"] for run in runs),
+            }
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()
