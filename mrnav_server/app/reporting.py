@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mrnav_server.core.errors import MrnavError
+from mrnav_server.loops.priority import make_ordinary
 
 _PATIENCE_S = 120.0
 
@@ -28,6 +29,7 @@ async def trial_report(folder: Path) -> dict[str, Any]:
     process = await asyncio.create_subprocess_exec(
         *command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
     )
+    make_ordinary(process.pid)
     try:
         async with asyncio.timeout(_PATIENCE_S):
             out, complaint = await process.communicate()

@@ -1,6 +1,7 @@
 """The process: signals, the rig and the web server, each stopped in its turn."""
 
 import asyncio
+import logging
 import os
 import signal
 import socket
@@ -20,10 +21,12 @@ from mrnav_server.app import connections
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.server import create_app
 from mrnav_server.core.errors import ConfigError
+from mrnav_server.loops.priority import prefer_this_process
 from mrnav_server.settings import ServerConfig, Settings
 
 _SWITCH_INTERVAL_S = 0.0005
 _GRACE_S = 2
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +76,8 @@ def serve(
     """
     # Threads that compute (JPEG, tracking) give the interpreter back in time for a 10 ms control tick.
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    if not prefer_this_process():
+        _log.info("the system gives the rig no preference over other programs: keep this machine idle")
     settings = settings.with_tokens()
     _check_certificate(settings.server)
     if ready_file is not None:
