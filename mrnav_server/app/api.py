@@ -92,15 +92,14 @@ async def mode(parts: Context, body: ModeBody, principal: Viewer) -> dict[str, A
 @api.post("/lease", tags=["control"])
 async def take_lease(parts: Context, body: LeaseBody, principal: Operator) -> dict[str, str]:
     """Take control; 409 while another has it."""
-    session = body.session or principal.session
-    parts.rig.take_lease(session, body.client)
-    return {"session": session}
+    parts.rig.take_lease(principal.session, body.client)
+    return {"session": principal.session}
 
 
 @api.delete("/lease", status_code=204, tags=["control"])
-async def give_lease(parts: Context, principal: Operator, body: LeaseBody | None = None) -> None:
+async def give_lease(parts: Context, principal: Operator) -> None:
     """Give control back."""
-    parts.rig.give_lease((body and body.session) or principal.session)
+    parts.rig.give_lease(principal.session)
 
 
 @streams.get("/frame.jpg")

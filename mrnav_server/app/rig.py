@@ -7,6 +7,7 @@ first.
 import asyncio
 import dataclasses
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -405,7 +406,9 @@ class Rig:
             raise RefusedError("no_lease", f"{who}: take the lease first")
 
     def _counters(self) -> dict[str, int]:
-        return self.control.counters | dict(self._hand_link.counters)
+        counters = Counter(self.control.counters)
+        counters.update(self._hand_link.counters)
+        return dict(counters)
 
     def _publish(self) -> None:
         state = self.telemetry.state(self._clock(), self._counters(), self._recorder.trial)

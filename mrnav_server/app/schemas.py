@@ -6,7 +6,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Ask = Literal["arm", "disarm", "manual", "auto", "hold", "stop", "reset"]
 Identifier = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.-]+$")]
-Session = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 Label = Annotated[str, Field(max_length=80)]
 
 
@@ -38,13 +37,8 @@ class ModeBody(_Body):
 
 
 class LeaseBody(_Body):
-    """Taking or giving back control.
+    """Taking control; ``client`` is the name under which others see the holder."""
 
-    ``session`` is the one that the snapshot or the welcome named; without it the header's counts. ``client``
-    is the name under which others see the holder.
-    """
-
-    session: Session | None = None
     client: Label = "page"
 
 

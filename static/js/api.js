@@ -6,6 +6,14 @@
 const BASE = "/api/v1";
 const TIMEOUT_MS = 5000;
 
+/** @type {string | null} */
+let session = null;
+
+/** Name this page towards the rig's lease from now on. @param {string} name As the snapshot says. */
+export function useSession(name) {
+  session = name;
+}
+
 /** The server's refusal, or the network's. */
 export class ApiError extends Error {
   /**
@@ -34,7 +42,10 @@ export async function request(method, path, body) {
   try {
     response = await fetch(BASE + path, {
       method,
-      headers: body === undefined ? {} : { "content-type": "application/json" },
+      headers: {
+        ...(body === undefined ? {} : { "content-type": "application/json" }),
+        ...(session === null ? {} : { "x-mrnav-session": session }),
+      },
       body: body === undefined ? null : JSON.stringify(body),
       cache: "no-store",
       keepalive: true,

@@ -54,10 +54,9 @@ export class Controls {
   /**
    * @param {(ask: Ask, area?: string) => Promise<Answer>} ask
    * @param {() => string | undefined} chosenArea
-   * @param {() => string | null} session This page's session.
    * @param {Messages} messages
    */
-  constructor(ask, chosenArea, session, messages) {
+  constructor(ask, chosenArea, messages) {
     this.#messages = messages;
     /** @param {ButtonAsk} name */
     const button = (name) => {
@@ -77,8 +76,8 @@ export class Controls {
       hold: button("hold"),
       reset: button("reset"),
     };
-    this.#take.addEventListener("click", () => this.#changeLease("POST", session()));
-    this.#give.addEventListener("click", () => this.#changeLease("DELETE", session()));
+    this.#take.addEventListener("click", () => this.#changeLease("POST"));
+    this.#give.addEventListener("click", () => this.#changeLease("DELETE"));
   }
 
   /** Show what is known. @param {Known} known */
@@ -131,10 +130,10 @@ export class Controls {
     this.#clutch.dataset.on = String(state.clutch);
   }
 
-  /** @param {"POST" | "DELETE"} method @param {string | null} session */
-  async #changeLease(method, session) {
+  /** @param {"POST" | "DELETE"} method */
+  async #changeLease(method) {
     try {
-      await request(method, "/lease", { session, client: "dashboard" });
+      await request(method, "/lease", method === "POST" ? { client: "dashboard" } : undefined);
       this.#messages.clear();
     } catch (error) {
       this.#messages.say(explain(error), "warning");

@@ -3,7 +3,7 @@
  * @module
  */
 
-import { ApiError, request } from "./api.js";
+import { ApiError, request, useSession } from "./api.js";
 import { Areas } from "./areas.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
@@ -46,7 +46,6 @@ const stop = new StopButton(() => twin.ask("stop"), messages);
 const controls = new Controls(
   (ask, area) => twin.ask(ask, area),
   () => areas.chosenId ?? undefined,
-  () => snapshot?.session ?? null,
   messages,
 );
 const video = new VideoView(byId("video", HTMLCanvasElement), {
@@ -63,6 +62,7 @@ const overlay = new Overlay(byId("overlay", HTMLCanvasElement), {
 function onSnapshot(next) {
   snapshot = next;
   signedOut = false;
+  useSession(next.session);
   setText(byId("rig-name", HTMLElement), next.rig.name);
   byId("simulated", HTMLElement).hidden = !next.rig.simulated;
   setText(byId("vessel-name", HTMLElement), next.vessel.name);

@@ -232,8 +232,9 @@ async def test_the_lease_goes_to_the_session_that_asks(client: httpx.AsyncClient
     operator = bearer(OPERATOR_TOKEN)
     await client.post("/api/v1/lease", json={"client": "script"}, headers=operator)
     await client.post("/api/v1/lease", json={}, headers=operator | {"X-MRNAV-Session": "hand-7"})
-    await client.post("/api/v1/lease", json={"session": "page-1"}, headers=operator)
-    await client.request("DELETE", "/api/v1/lease", json={"session": "page-1"}, headers=operator)
+    page = operator | {"X-MRNAV-Session": "page-1"}
+    await client.post("/api/v1/lease", json={}, headers=page)
+    await client.request("DELETE", "/api/v1/lease", headers=page)
     assert rig.asked == [
         ("take_lease", "operator", "script"),
         ("take_lease", "hand-7", "page"),
