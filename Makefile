@@ -43,11 +43,12 @@ check-static: $(VENV)/.installed-test static/node_modules/.installed
 test-slow: $(VENV)/.installed-test ## Run the tests that take minutes
 	$(PY) -m pytest -m slow --timeout 3600
 
-faults: $(VENV)/.installed-test ## Inject faults into real processes and sockets
+faults: $(VENV)/.installed-test ## Inject faults into real processes, and measure the reactions
 	$(PY) -m pytest tests/faults
+	$(BIN)/mrnav bench faults
 
 bench: $(VENV)/.installed-test ## Measure every published figure again
-	@for script in benchmarks/*.py; do echo "$$script" >&2; $(PY) "$$script"; done
+	$(BIN)/mrnav bench
 
 clean: ## Remove everything that was built here
 	rm -rf $(VENV) static/node_modules static/vendor .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 
 from mrnav_server import __version__
+from mrnav_server.cli.bench import bench
 from mrnav_server.cli.demo import demo
 from mrnav_server.cli.doctor import doctor
 from mrnav_server.cli.evaluate import evaluate
@@ -18,7 +19,7 @@ from mrnav_server.cli.train import train
 from mrnav_server.core.errors import ConfigError, MrnavError
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
-for command in (serve, demo, operate, doctor, train, evaluate, report):
+for command in (serve, demo, operate, doctor, train, evaluate, report, bench):
     app.command()(command)
 models = typer.Typer(no_args_is_help=True, help="Vessel models.")
 models.command()(generate)
