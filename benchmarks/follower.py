@@ -24,6 +24,7 @@ from mrnav_server.autonomy.torchscript import load_policy
 from mrnav_server.core.arrays import FloatArray
 from mrnav_server.core.frames import StagePoint, VesselPoint
 from mrnav_server.core.limits import Limits, allowed_target
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import TipReading, Track, TrackState
 from mrnav_server.core.shaping import Reference, Shaper
 from mrnav_server.core.vessel import VesselMap
@@ -80,7 +81,8 @@ class Bench:
             height_factor=options.height_factor,
             offset_error_um=options.offset_error_um,
         )
-        world = SimulatedWorld(sim, self._vessel, seed=options.seed if options.carry else number)
+        picture = PictureFormat(fps=options.fps)
+        world = SimulatedWorld(sim, self._vessel, picture, seed=options.seed if options.carry else number)
         noise = np.random.default_rng([options.seed, number])
         limits = Limits()
         shaper = Shaper(limits)

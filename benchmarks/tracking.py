@@ -15,7 +15,9 @@ import numpy as np
 
 from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.frames import Affine2, Calibration, StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame, TrackState
+from mrnav_server.sim.magnetics import Magnets
 from mrnav_server.sim.microscope import Microscope, MicroscopeConfig
 from mrnav_server.vision.redetect import Redetector
 from mrnav_server.vision.rim import RimFit
@@ -25,7 +27,7 @@ from mrnav_server.vision.vessel_model import vessel_map
 P = ParamSpec("P")
 T = TypeVar("T")
 FRAMES = 900
-FPS = 30.0
+PICTURE = PictureFormat()
 CALIBRATION = Calibration(
     image_from_vessel=Affine2.scale(10.0 / 15.0, 200.0, 0.0),
     stage_from_vessel=Affine2.scale(10.0, 1000.0, 1000.0),
@@ -47,7 +49,7 @@ def mask() -> ByteArray:
 
 def scene(number: int) -> tuple[VesselPoint, StagePoint]:
     """Return where robot and tip are on a frame."""
-    t_s = number / FPS
+    t_s = number / PICTURE.fps
     robot = VesselPoint(900.0 + 60.0 * np.sin(2.3 * t_s), 1220.0 + 280.0 * np.sin(1.07 * t_s))
     x_um, y_um = CALIBRATION.stage_xy_um(robot)
     sweep_x_um, sweep_y_um = 1500.0 * np.sin(1.9 * t_s) - 900.0, 1900.0 * np.cos(0.9 * t_s)
@@ -92,7 +94,8 @@ def main() -> None:
     """Run the sequence and print the figures."""
     cv2.setNumThreads(1)
     config = TrackerConfig()
-    microscope = Microscope(MicroscopeConfig(), vessel_map("y", mask()), CALIBRATION, seed=0)
+    vessel = vessel_map("y", mask())
+    microscope = Microscope(MicroscopeConfig(), PICTURE, Magnets(), vessel, CALIBRATION, seed=0)
     tracker = Tracker(config, CALIBRATION)
     redetector = Redetector(RimFit(500.0 / 15.0, config.edge_strength, 0.05), config.radius_tolerance)
     rendering, tracking, redetecting = (Stopwatch(n) for n in ("render", "tracked_frame", "redetection"))
@@ -100,7 +103,7 @@ def main() -> None:
     for number in range(FRAMES):
         robot, tip = scene(number)
         image = rendering(microscope.render, robot, tip)
-        track = tracking(tracker.update, Frame(number, number / FPS, image))
+        track = tracking(tracker.update, Frame(number, number / PICTURE.fps, image))
         if number % 20 == 0:
             redetecting(redetector.find, image)
         if track.state is TrackState.TRACKING and track.image is not None:

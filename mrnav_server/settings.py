@@ -25,6 +25,7 @@ from mrnav_server.autonomy.path import PathConfig
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.hand import HandConfig
 from mrnav_server.core.limits import Limits
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.loops.autopilot import AutopilotConfig
 from mrnav_server.loops.control import ControlConfig
 from mrnav_server.loops.guards import GuardConfig
@@ -87,34 +88,26 @@ class RigConfig:
 
     Attributes:
         manipulator: Driver of the manipulator.
-        camera: Driver of the camera.
+        camera: Driver of the camera; ``usb`` is ``/dev/videoN`` with N from ``camera.index``.
         vessel: Name of a vessel model, or a path to its folder.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
 
     manipulator: Literal["simulated"] = "simulated"
-    camera: Literal["simulated"] = "simulated"
+    camera: Literal["simulated", "usb"] = "simulated"
     vessel: str = "bifurcation"
 
 
 @dataclass(frozen=True, slots=True)
-class CameraConfig:
-    """What the camera is asked for.
+class CameraConfig(PictureFormat):
+    """Which camera, and the pictures that it is asked for.
 
     Attributes:
         index: Number of the device, from 0.
-        width_px: Picture width.
-        height_px: Picture height.
-        fps: Frames a second, above 0.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
-
     index: Annotated[int, Field(ge=0)] = 0
-    width_px: Annotated[int, Field(ge=16, le=8192)] = 1600
-    height_px: Annotated[int, Field(ge=16, le=8192)] = 1200
-    fps: Annotated[float, Field(gt=0, le=1000)] = 30.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,6 +116,18 @@ def test_numbers_that_measure_nothing_are_refused(text: str) -> None:
     assert "limits.ahead_s (lab.toml)" in fault(f"[limits]\nahead_s = {text}\n")
 
 
+def test_the_cameras_picture_has_its_ranges() -> None:
+    read = load_settings(written("[camera]\nwidth_px = 800\nindex = 1\n"), {"MRNAV_CAMERA__FPS": "25"})
+    assert (read.camera.index, read.camera.width_px, read.camera.height_px, read.camera.fps) == (
+        1,
+        800,
+        1200,
+        25,
+    )
+    assert "camera (MRNAV_CAMERA__FPS): camera.fps is 0" in fault(MRNAV_CAMERA__FPS="0")
+    assert "camera.index (MRNAV_CAMERA__INDEX)" in fault(MRNAV_CAMERA__INDEX="-1")
+
+
 def test_a_missing_unreadable_or_broken_file_is_named() -> None:
     with pytest.raises(ConfigError, match=r"no\.toml does not exist"):
         load_settings(Path("no.toml"), {})

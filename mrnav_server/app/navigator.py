@@ -11,7 +11,6 @@ from mrnav_server.core.frames import Calibration, VesselPoint
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import PolicyCard
 from mrnav_server.loops.autopilot import Autopilot, PathOrder
-from mrnav_server.loops.priority import make_ordinary
 from mrnav_server.settings import Settings
 from mrnav_server.vision.model_store import find_model
 
@@ -32,7 +31,7 @@ class Navigator:
         self._vessel = vessel
         self._planner: PathPlanner | None = None
         self._policy: Policy | None = None
-        self._thread = ThreadPoolExecutor(1, "planner", make_ordinary)
+        self._thread = ThreadPoolExecutor(1, "planner")
         self.policy_sha256 = ""
         self._verdict = "not loaded yet"
         self.autopilot = Autopilot(

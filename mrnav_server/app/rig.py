@@ -31,6 +31,7 @@ from mrnav_server.loops.control import ControlLoop
 from mrnav_server.loops.events import EventBus
 from mrnav_server.loops.hand_link import HandLinkServer
 from mrnav_server.loops.latest import Latest
+from mrnav_server.loops.priority import compute_in_calling_threads
 from mrnav_server.loops.recorder import Recorder
 from mrnav_server.loops.ticks import ticks
 from mrnav_server.loops.tracking import TrackingLoop
@@ -150,7 +151,6 @@ class Rig:
 
     def snapshot(self, session: str, role: str) -> dict[str, Any]:
         """Return the first message of a twin client."""
-        camera = self.settings.camera
         card = wire_twin.RigCard(
             name="simulated rig" if self.simulated else "rig",
             simulated=self.simulated,
@@ -161,9 +161,7 @@ class Rig:
                 for name, value in dataclasses.asdict(self.settings.limits).items()
                 if isinstance(value, float)
             },
-            camera_width_px=camera.width_px,
-            camera_height_px=camera.height_px,
-            camera_fps=camera.fps,
+            picture=self.settings.camera,
         )
         cards = self.navigator.policy_cards()
         return wire_twin.snapshot(session, role, card, cards, self.areas.list(), self.states.value)
@@ -245,6 +243,8 @@ class Rig:
         """
         # An import or a first inference during control would stall it for up to seconds.
         await self.navigator.load()
+        # Once all that computes is loaded: a limit does not hold for what is loaded after it.
+        compute_in_calling_threads()
         self._recorder.recover()
         manipulator, camera = self.bench.manipulator, self.bench.camera
         try:

@@ -76,15 +76,16 @@ def serve(
     """
     # Threads that compute (JPEG, tracking) give the interpreter back in time for a 10 ms control tick.
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    if not prefer_this_process():
-        _log.info("the system gives the rig no preference over other programs: keep this machine idle")
+    preferred = prefer_this_process()
     settings = settings.with_tokens()
     _check_certificate(settings.server)
     if ready_file is not None:
         ready_file.unlink(missing_ok=True)
     with bound_socket(settings.server.host, settings.server.port) as listener:
         try:
-            asyncio.run(_process(build_rig(settings), settings, listener, announce, ready_file))
+            asyncio.run(
+                _process(build_rig(settings), settings, listener, announce, ready_file, preferred=preferred)
+            )
         except BaseExceptionGroup as group:
             config = group.subgroup(ConfigError)
             if config is None:
@@ -101,6 +102,8 @@ async def _process(
     listener: socket.socket,
     announce: Callable[[Ready], None],
     ready_file: Path | None,
+    *,
+    preferred: bool,
 ) -> None:
     app = create_app(rig, settings)
     server = RigServer(_uvicorn_config(app, settings.server))
@@ -117,6 +120,8 @@ async def _process(
         if ready_file is not None:
             _write_privately(ready_file, orjson.dumps(ready) + b"\n")
         announce(ready)
+        if not preferred:
+            _log.info("the system gives the rig no preference over other programs: keep this machine idle")
         await server.serve([listener])
 
     with _stop_signals() as stop:

@@ -15,7 +15,6 @@ from mrnav_server.app.problems import ApiError
 from mrnav_server.app.twin import SLOW_READER_S
 from mrnav_server.core.records import Frame
 from mrnav_server.loops.latest import Latest
-from mrnav_server.loops.priority import make_ordinary
 
 HEADER = struct.Struct("<IId")
 """Frame number, reserved (0), capture time in seconds."""
@@ -33,7 +32,7 @@ class VideoEncoder:
 
     def __init__(self, frames: Latest[Frame]) -> None:
         self._frames = frames
-        self._thread = ThreadPoolExecutor(1, "jpeg", make_ordinary)
+        self._thread = ThreadPoolExecutor(1, "jpeg")
         self._jobs: dict[tuple[int, int], tuple[int, asyncio.Future[bytes]]] = {}
 
     def close(self) -> None:

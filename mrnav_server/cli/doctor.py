@@ -4,6 +4,7 @@ import json
 import os
 import platform
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -75,8 +76,8 @@ def examine(config: Path | None) -> Iterator[Check]:
     yield _attempt("pages", _pages)
     for name, port in (("port", settings.server.port), ("hand port", settings.server.hand_port)):
         yield _attempt(name, lambda port=port: _port(settings.server.host, port))  # type: ignore[misc]
-    for name, driver in (("manipulator", settings.rig.manipulator), ("camera", settings.rig.camera)):
-        yield Check(name, ok=True, found=driver)
+    yield Check("manipulator", ok=True, found=settings.rig.manipulator)
+    yield _attempt("camera", lambda: _camera(settings))
 
 
 def _python() -> Check:
@@ -132,6 +133,20 @@ def _port(host: str, port: int) -> str:
 
     with bound_socket(host, port):
         return f"{host} port {port} is free" if port else "a free port is taken at start"
+
+
+def _camera(settings: "Settings") -> str:
+    if settings.rig.camera == "simulated":
+        return "simulated"
+    from mrnav_server.app.bench import build_usb_camera
+
+    camera = build_usb_camera(settings, time.monotonic)
+    try:
+        camera.open()
+    finally:
+        camera.close()
+    asked = settings.camera
+    return f"USB camera {asked.index} gives pictures of {asked.width_px}×{asked.height_px} px"
 
 
 def _attempt(name: str, look: Callable[[], str]) -> Check:

@@ -14,6 +14,7 @@ from rich.console import Console
 from mrnav_server.cli.rest import Rest, RestError
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.modes import Mode
+from mrnav_server.loops.priority import prefer_this_process
 from mrnav_server.sim.operator import MESSAGES_HZ, OperatorModel, Phase, Sight, SimulatedOperator
 
 MODEL_NAME = "deliberate pushes"
@@ -50,6 +51,8 @@ def operate(
     scripted: Annotated[bool, typer.Option("--scripted", help="A steady hand: no tremor, no sway.")] = False,
 ) -> None:
     """Sit down at the hand link as a simulated operator; take over where the autonomy arrives."""
+    # It stands in for a headset, a device of its own that no load on this machine would slow down.
+    prefer_this_process()
     model = OperatorModel()
     if scripted:
         model = replace(model, tremor_m=0.0, sway_m=0.0)

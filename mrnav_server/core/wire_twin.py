@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from mrnav_server.core.frames import Calibration, ImagePoint, StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import CriticalArea, Percentiles, RigState
 from mrnav_server.core.vessel import VesselMap
 
@@ -27,7 +28,7 @@ class RigCard:
         vessel: The vessel model in use.
         calibration: How camera, vessel and stage see each other.
         limits: The motion limits by name, units in the names.
-        camera_width_px, camera_height_px, camera_fps: The picture.
+        picture: The camera's pictures.
     """
 
     name: str
@@ -35,9 +36,7 @@ class RigCard:
     vessel: VesselMap
     calibration: Calibration
     limits: Mapping[str, float]
-    camera_width_px: int
-    camera_height_px: int
-    camera_fps: float
+    picture: PictureFormat
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +85,9 @@ def snapshot(
         "calibration": calibration_fields(rig.calibration),
         "limits": {name: _finite(value) for name, value in rig.limits.items()},
         "camera": {
-            "width_px": rig.camera_width_px,
-            "height_px": rig.camera_height_px,
-            "fps": _finite(rig.camera_fps),
+            "width_px": rig.picture.width_px,
+            "height_px": rig.picture.height_px,
+            "fps": rig.picture.fps,
         },
         "policies": [
             {"name": card.name, "kind": card.kind, "verified": card.verified, "reason": card.reason}

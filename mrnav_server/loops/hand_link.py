@@ -137,7 +137,8 @@ class HandLinkServer:
         except OSError as error:
             reason = error.strerror or str(error)
             raise ConfigError(
-                f"hand_link: cannot listen on {host} port {port} ({reason}); set hand_link.host or port"
+                f"hand_link: cannot listen on {host} port {port} ({reason}); "
+                "set server.host or server.hand_port"
             ) from None
         self._port = listener.sockets[0].getsockname()[1]
         try:

@@ -1,34 +1,45 @@
-"""Scheduling: what moves the magnet runs before what draws pictures, as far as the system allows."""
+"""Scheduling: what moves the magnet runs before other programs, as far as the system allows."""
 
 import os
-import threading
+
+import cv2
+from threadpoolctl import threadpool_limits
 
 _PREFERRED = -10
 _ORDINARY = 0
 
 
 def prefer_this_process() -> bool:
-    """Run this thread, and those that it starts, before other processes; tell whether it was allowed.
+    """Run this process before others; tell whether it was allowed. Call it before any thread starts.
+
+    All threads share the preference. One that waited behind other programs while it holds the
+    interpreter's lock would hold up the control loop with it.
 
     Linux allows it to root and to CAP_SYS_NICE; elsewhere nothing changes and nothing fails.
     """
     return _set_priority(0, _PREFERRED)
 
 
-def make_ordinary(thread_or_process: int | None = None) -> None:
-    """Give up that preference for a thread that only computes, or for a child process.
+def compute_in_calling_threads() -> None:
+    """Have OpenCV and the linear algebra behind numpy start no threads of their own.
 
-    Args:
-        thread_or_process: Its native id; None means the calling thread.
+    On a busy machine a call that shares its few microseconds of work with a second thread waits for that
+    thread to be scheduled: tens of milliseconds, for the tracker or for the control loop.
     """
-    _set_priority(threading.get_native_id() if thread_or_process is None else thread_or_process, _ORDINARY)
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
 
 
-def _set_priority(native_id: int, niceness: int) -> bool:
+def make_ordinary(process: int) -> None:
+    """Take that preference from a child process, given by its id."""
+    _set_priority(process, _ORDINARY)
+
+
+def _set_priority(process: int, niceness: int) -> bool:
     if not hasattr(os, "setpriority"):
         return False
     try:
-        os.setpriority(os.PRIO_PROCESS, native_id, niceness)
+        os.setpriority(os.PRIO_PROCESS, process, niceness)
     except (PermissionError, ProcessLookupError):
         return False
     return True

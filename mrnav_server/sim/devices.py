@@ -13,6 +13,7 @@ import numpy as np
 from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.errors import DeviceError, DeviceTimeoutError
 from mrnav_server.core.frames import StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame, MotionCommand, TipReading
 from mrnav_server.sim.world import SimConfig, SimulatedWorld, Snapshot
 
@@ -105,7 +106,8 @@ class SimulatedCamera:
     """A camera on an absolute frame schedule; a slot that is missed leaves a gap in the numbers.
 
     Args:
-        config: Frame rate and latency.
+        config: Latency.
+        picture: Frame rate.
         snapshot: Where the newest state of the world comes from.
         render: Draws the picture.
         clock: Monotonic time in seconds, the one that the world's time was put on.
@@ -115,12 +117,13 @@ class SimulatedCamera:
     def __init__(
         self,
         config: SimConfig,
+        picture: PictureFormat,
         snapshot: Callable[[], Snapshot],
         render: Renderer,
         clock: Callable[[], float],
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._period_s = 1.0 / config.camera_fps
+        self._period_s = 1.0 / picture.fps
         self._latency_s = config.camera_latency_ms * 1e-3
         self._snapshot = snapshot
         self._render = render

@@ -18,6 +18,13 @@ FLATTEST_WITH_TWO_DIPOLES = math.sqrt(3.0) / 2.0
 """Length over diameter of the cylinder that a single dipole describes best; a flatter one gets one, too."""
 SEARCHED_HEIGHT_UM = (5_000.0, 25_000.0)
 """Where the critical height is looked for."""
+ALLOWED = {
+    "needle_diameter_um": (100.0, 5000.0),
+    "needle_length_um": (100.0, 10_000.0),
+    "tilt_deg": (0.0, 80.0),
+    "azimuth_deg": (-360.0, 360.0),
+}
+"""What can be computed and drawn; the ranges in ``Magnets`` are those of the bench."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +56,12 @@ class Magnets:
     tilt_deg: float = 45.0
     azimuth_deg: float = -15.0
     ambient_t: tuple[float, float, float] = (15e-6, 12.5e-6, -45e-6)
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in ALLOWED.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ConfigError(f"sim.magnets.{name} is {value:g}; choose it within {low:g}..{high:g}")
 
     @property
     def needle_moment_a_m2(self) -> float:
@@ -194,8 +207,10 @@ def _rest_um(force: MagneticForce, magnets: Magnets, height_um: float) -> tuple[
         x_m, y_m = float(offset_mm[0]) * 1e-3, float(offset_mm[1]) * 1e-3
         return np.array(force(-x_m, -y_m, -height_um * 1e-6)[:2]) * 1e6
 
-    ux, uy, _ = magnets.direction
-    found = root(lateral_un, np.array([ux, uy]) * 0.2e-3 * height_um)
+    guess_mm = np.array(magnets.direction[:2]) * 0.2e-3 * height_um
+    # The solver's steps are in proportion to the guess: one of 1e-16 (cos 90°) would leave it none.
+    guess_mm[np.abs(guess_mm) < 1e-9] = 0.0
+    found = root(lateral_un, guess_mm)
     rest_um = float(found.x[0]) * 1e3, float(found.x[1]) * 1e3
     # High up the ambient field turns the robot over: what balances there is pushed, not held.
     held = found.success and math.hypot(*rest_um) < height_um and _pull_n(force, rest_um, height_um) > 0.0

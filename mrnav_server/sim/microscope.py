@@ -8,8 +8,10 @@ import numpy as np
 from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import Calibration, StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.sim.backdrop import backdrop, linear_scale
+from mrnav_server.sim.magnetics import Magnets
 from mrnav_server.sim.occluder import NeedleShape, Occluder
 from mrnav_server.sim.sprites import Region, SphereSprite
 
@@ -22,31 +24,19 @@ class MicroscopeConfig:
     """The simulated microscope and what it looks past.
 
     Attributes:
-        width_px: Image width, 64..8192.
-        height_px: Image height, 64..8192.
         noise: Standard deviation of the camera's noise in gray levels, 0..20. At 0 a still scene gives
             identical frames, which the tracker takes for a frozen camera.
         rim_blur_px: Softness of the robot's rim in pixels, 0.3..5.
         pupil_um: Diameter of the camera's entrance pupil in µm, 100..20000; it sets the needle's blur.
-        magnet_diameter_um: The magnet in µm, 100..5000.
-        magnet_length_um: The magnet in µm, 100..10000.
-        needle_diameter_um: The needle that carries it in µm, 50..5000.
-        needle_tilt_deg: Its tilt from the vertical in degrees, 0..80.
-        needle_azimuth_deg: Direction in the image in which it rises, clockwise from the right, -360..360.
+        needle_diameter_um: The needle that carries the magnet in µm, 50..5000.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
 
-    width_px: int = 1600
-    height_px: int = 1200
     noise: float = 3.0
     rim_blur_px: float = 1.4
     pupil_um: float = 3000.0
-    magnet_diameter_um: float = 1000.0
-    magnet_length_um: float = 2000.0
     needle_diameter_um: float = 450.0
-    needle_tilt_deg: float = 45.0
-    needle_azimuth_deg: float = -15.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -57,16 +47,10 @@ class MicroscopeConfig:
 
 
 _RANGES = {
-    "width_px": (64, 8192),
-    "height_px": (64, 8192),
     "noise": (0, 20),
     "rim_blur_px": (0.3, 5),
     "pupil_um": (100, 20_000),
-    "magnet_diameter_um": (100, 5000),
-    "magnet_length_um": (100, 10_000),
     "needle_diameter_um": (50, 5000),
-    "needle_tilt_deg": (0, 80),
-    "needle_azimuth_deg": (-360, 360),
 }
 
 
@@ -79,32 +63,41 @@ class Microscope:
 
     Args:
         config: The microscope.
+        picture: Size of its pictures.
+        magnets: Size and pose of the magnet, with which the needle is coaxial.
         vessel: What lies under it.
         calibration: Where things appear.
         seed: Seeds the texture and the noise.
     """
 
     def __init__(
-        self, config: MicroscopeConfig, vessel: VesselMap, calibration: Calibration, seed: int
+        self,
+        config: MicroscopeConfig,
+        picture: PictureFormat,
+        magnets: Magnets,
+        vessel: VesselMap,
+        calibration: Calibration,
+        seed: int,
     ) -> None:
         self._rng = np.random.default_rng(seed)
         self._calibration = calibration
-        width, height = config.width_px, config.height_px
+        width, height = picture.width_px, picture.height_px
         # Unsigned noise around this level; everything painted is lowered by it first.
         offset = round(4 * config.noise)
         floor = backdrop(vessel, calibration.image_from_vessel, width, height, self._rng)
         self._floor = cv2.subtract(floor, np.full_like(floor, offset)).astype(np.uint8)
         self._scene = self._floor.copy()
-        self._pool = self._noise_pool(config, offset)
+        self._pool = self._noise_pool(picture, config.noise, offset)
         self._crop = 0
         radius_px = vessel.robot_radius_px * linear_scale(calibration.image_from_vessel)
         self._sphere = SphereSprite(radius_px, config.rim_blur_px, offset)
         shape = NeedleShape(
-            magnet_diameter_um=config.magnet_diameter_um,
-            magnet_length_um=config.magnet_length_um,
+            magnet_diameter_um=magnets.needle_diameter_um,
+            magnet_length_um=magnets.needle_length_um,
             needle_diameter_um=config.needle_diameter_um,
-            tilt_deg=config.needle_tilt_deg,
-            azimuth_deg=config.needle_azimuth_deg,
+            tilt_deg=magnets.tilt_deg,
+            # The image's axes are parallel to the stage's on the simulated rig, so this angle is the same.
+            azimuth_deg=magnets.azimuth_deg,
             pupil_um=config.pupil_um,
         )
         self._occluder = Occluder(shape, calibration, width, height, offset)
@@ -135,10 +128,10 @@ class Microscope:
             self._scene[region] = self._floor[region]
         return picture
 
-    def _noise_pool(self, config: MicroscopeConfig, offset: int) -> ByteArray:
+    def _noise_pool(self, picture: PictureFormat, noise: float, offset: int) -> ByteArray:
         """Return noise around ``offset``: three quarters common to the channels, as demosaicing leaves it."""
-        shape = (config.height_px + _POOL_MARGIN_PX, config.width_px + _POOL_MARGIN_PX)
-        pool = self._rng.standard_normal((*shape, 3), np.float32) * np.float32(0.66 * config.noise)
-        pool += self._rng.standard_normal((*shape, 1), np.float32) * np.float32(0.75 * config.noise)
+        shape = (picture.height_px + _POOL_MARGIN_PX, picture.width_px + _POOL_MARGIN_PX)
+        pool = self._rng.standard_normal((*shape, 3), np.float32) * np.float32(0.66 * noise)
+        pool += self._rng.standard_normal((*shape, 1), np.float32) * np.float32(0.75 * noise)
         pool += np.float32(offset)
         return np.clip(np.rint(pool, out=pool), 0.0, 255.0, out=pool).astype(np.uint8)

@@ -7,6 +7,7 @@ import numpy as np
 
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import Affine2, Calibration, StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.sim.magnetics import Magnets, critical_height_um, equilibrium_offset_um
 from mrnav_server.sim.robot import STEP_S, Robot
@@ -30,9 +31,6 @@ ALLOWED = {
     "manipulator_lag_s": (1e-3, 1.0),
     "manipulator_speed_um_per_s": (SLOWEST_UM_PER_S, 100_000.0),
     "image_um_per_px": (1.0, 100.0),
-    "image_width_px": (64, 8192),
-    "image_height_px": (64, 8192),
-    "camera_fps": (1.0, 1000.0),
     "camera_latency_ms": (0.0, 1000.0),
 }
 """What the simulation can compute; the ranges in ``SimConfig`` are those of the bench."""
@@ -54,9 +52,6 @@ class SimConfig:
         manipulator_speed_um_per_s: Fastest speed of the manipulator, in µm/s, 1..5000.
         start: Where the robot begins; None is near an end of the vessel.
         image_um_per_px: Size of a camera pixel on the channel's floor, in µm.
-        image_width_px: Width of the camera's image.
-        image_height_px: Height of the camera's image.
-        camera_fps: Frame rate in Hz, 1..120.
         camera_latency_ms: From capture to delivery of a frame, in ms, 0..100.
         seed: Seed of everything that is drawn by chance.
         magnets: The magnets and the ambient field.
@@ -75,9 +70,6 @@ class SimConfig:
     manipulator_speed_um_per_s: float = 5000.0
     start: VesselPoint | None = None
     image_um_per_px: float = 15.0
-    image_width_px: int = 1600
-    image_height_px: int = 1200
-    camera_fps: float = 30.0
     camera_latency_ms: float = 5.0
     seed: int = 0
     magnets: Magnets = field(default_factory=Magnets)
@@ -120,6 +112,7 @@ class SimulatedWorld:
     Args:
         config: The rig.
         vessel: The vessel model.
+        picture: The camera's pictures; the vessel is centred in them.
         seed: Takes the place of ``config.seed``.
 
     Attributes:
@@ -130,8 +123,10 @@ class SimulatedWorld:
         ConfigError: If robot, vessel and manipulator do not fit each other.
     """
 
-    def __init__(self, config: SimConfig, vessel: VesselMap, seed: int | None = None) -> None:
-        self.true_calibration = true_calibration(config, vessel)
+    def __init__(
+        self, config: SimConfig, vessel: VesselMap, picture: PictureFormat, seed: int | None = None
+    ) -> None:
+        self.true_calibration = true_calibration(config, vessel, picture)
         rng = np.random.default_rng(config.seed if seed is None else seed)
         self.calibration = _with_offset_error(self.true_calibration, config.offset_error_um, rng)
         start = config.start or start_near_an_end(vessel)
@@ -279,7 +274,7 @@ class SimulatedWorld:
         )
 
 
-def true_calibration(config: SimConfig, vessel: VesselMap) -> Calibration:
+def true_calibration(config: SimConfig, vessel: VesselMap, picture: PictureFormat) -> Calibration:
     """Return the calibration that the simulated rig is built to.
 
     The vessel is centred in the image; the tip that holds a robot in the vessel's centre is centred in the
@@ -302,8 +297,8 @@ def true_calibration(config: SimConfig, vessel: VesselMap) -> Calibration:
     return Calibration(
         image_from_vessel=Affine2.scale(
             px,
-            (config.image_width_px - vessel.size_px * px) / 2.0,
-            (config.image_height_px - vessel.size_px * px) / 2.0,
+            (picture.width_px - vessel.size_px * px) / 2.0,
+            (picture.height_px - vessel.size_px * px) / 2.0,
         ),
         stage_from_vessel=Affine2.scale(
             vessel.um_per_px, center_um - half_um - offset_um[0], center_um - half_um - offset_um[1]
@@ -312,7 +307,7 @@ def true_calibration(config: SimConfig, vessel: VesselMap) -> Calibration:
         floor_z_um=config.floor_z_um,
         magnet_offset_um=offset_um,
         critical_height_um=critical_um,
-        image_center_px=((config.image_width_px - 1) / 2.0, (config.image_height_px - 1) / 2.0),
+        image_center_px=picture.center_px,
     )
 
 

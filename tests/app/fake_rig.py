@@ -14,6 +14,7 @@ from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.frames import Affine2, Calibration, ImagePoint, VesselPoint
 from mrnav_server.core.modes import Mode, Severity
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame, LeaseState, Percentiles, RigState
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import RigCard, snapshot
@@ -114,7 +115,7 @@ class FakeRig:
         self.frames.put(Frame(number, number / 30.0, np.full((height_px, width_px, 3), 90, np.uint8)))
 
     def snapshot(self, session: str, role: str) -> dict[str, Any]:
-        card = RigCard("fake", True, self.vessel, self.calibration, {}, 160, 120, 30.0)
+        card = RigCard("fake", True, self.vessel, self.calibration, {}, PictureFormat(160, 120))
         return snapshot(session, role, card, [], self.areas.list(), self.states.value)
 
     def to_vessel(self, frame: str, x: float, y: float) -> VesselPoint:

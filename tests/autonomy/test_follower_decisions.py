@@ -13,6 +13,7 @@ from mrnav_server.autonomy.path import PlannedPath
 from mrnav_server.autonomy.plane import Plane
 from mrnav_server.core.frames import Affine2, Calibration, StagePoint, VesselPoint
 from mrnav_server.core.limits import Limits
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import TipReading, Track, TrackState
 from mrnav_server.core.shaping import Reference, Shaper
 from mrnav_server.core.vessel import VesselMap
@@ -225,7 +226,8 @@ def test_a_path_needs_the_robot_in_sight(stage: Stage) -> None:
 
 
 def test_watching_manual_motion_teaches_the_offset_error(bifurcation: VesselMap) -> None:
-    world = SimulatedWorld(SimConfig(start=START, offset_error_um=300.0), bifurcation, seed=4)
+    config = SimConfig(start=START, offset_error_um=300.0)
+    world = SimulatedWorld(config, bifurcation, PictureFormat(), seed=4)
     follower = Follower(FollowerConfig(), bifurcation, world.calibration)
     true_um, told_um = world.true_calibration.magnet_offset_um, world.calibration.magnet_offset_um
     error_um = (true_um[0] - told_um[0], true_um[1] - told_um[1])

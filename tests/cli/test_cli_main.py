@@ -99,6 +99,15 @@ def test_the_doctor_names_what_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     assert examined()[1]["settings"] is False
 
 
+def test_the_doctor_tries_the_camera_that_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MRNAV_RIG__CAMERA", "usb")
+    monkeypatch.setenv("MRNAV_CAMERA__INDEX", "97")
+    result = CliRunner().invoke(app, ["doctor", "--json"])
+    camera = next(check for check in json.loads(result.stdout)["checks"] if check["name"] == "camera")
+    assert (result.exit_code, camera["ok"]) == (1, False)
+    assert "USB camera 97 cannot be opened: /dev/video97 does not exist" in camera["found"]
+
+
 def test_the_doctor_prints_a_table() -> None:
     result = CliRunner().invoke(app, ["doctor"])
     assert result.exit_code == 0

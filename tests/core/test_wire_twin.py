@@ -7,6 +7,7 @@ import orjson
 
 from mrnav_server.core.frames import Affine2, Calibration, ImagePoint, StagePoint, VesselPoint
 from mrnav_server.core.modes import Mode, Severity
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import CriticalArea, LeaseState, Percentiles, RigState, Track, TrackState
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import PolicyCard, RigCard, area_fields, event, snapshot, twin_state
@@ -166,12 +167,14 @@ def test_a_full_state_fits_a_line_of_the_hand_link() -> None:
 
 
 def test_a_snapshot_describes_the_rig() -> None:
-    rig = RigCard("simulated rig", True, vessel(), CALIBRATION, {"speed_um_per_s": 3000.0}, 1600, 1200, 30.0)
+    limits = {"speed_um_per_s": 3000.0}
+    rig = RigCard("simulated rig", True, vessel(), CALIBRATION, limits, PictureFormat(800, 600, 25.0))
     areas = [CriticalArea("area-1", VesselPoint(300.0, 450.0), 500.0, "clot")]
     message = snapshot(
         "s9", "viewer", rig, [PolicyCard("ppo", "torchscript", False, "other map")], areas, STATE
     )
     assert message["rig"] == {"simulated": True, "name": "simulated rig"}
+    assert message["camera"] == {"width_px": 800, "height_px": 600, "fps": 25.0}
     assert message["vessel"] == {
         "name": "straight",
         "size_px": 8,

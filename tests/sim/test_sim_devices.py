@@ -7,6 +7,7 @@ import pytest
 from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.errors import DeviceError, DeviceTimeoutError
 from mrnav_server.core.frames import StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.devices.base import Camera, Manipulator
 from mrnav_server.sim.devices import SimulatedCamera, SimulatedManipulator
@@ -29,10 +30,13 @@ class Bench:
     def __init__(self, latency_ms: float = 5.0) -> None:
         config = SimConfig(start=VesselPoint(300.0, 600.0), camera_latency_ms=latency_ms)
         self.now_s = START_S
-        self.world = SimulatedWorld(config, vessel())
+        picture = PictureFormat()
+        self.world = SimulatedWorld(config, vessel(), picture)
         self.world.set_time(self.now_s)
         self.manipulator = SimulatedManipulator(self.world)
-        self.camera = SimulatedCamera(config, self.world.snapshot, draw, lambda: self.now_s, self.sleep)
+        self.camera = SimulatedCamera(
+            config, picture, self.world.snapshot, draw, lambda: self.now_s, self.sleep
+        )
         self.camera.open()
 
     def sleep(self, seconds: float) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import TypeAdapter
 
 from mrnav_server.core.arrays import FloatArray
 from mrnav_server.core.errors import ConfigError
@@ -144,6 +145,27 @@ def test_without_an_ambient_field_the_offset_points_along_the_tilt() -> None:
     assert math.hypot(x_um, y_um) == pytest.approx(0.165 * 11_000.0, rel=0.03)
 
 
+@pytest.mark.parametrize("azimuth_deg", [-180.0, -90.0, 90.0, 180.0])
+def test_a_needle_tilted_along_an_axis_of_the_stage_holds_the_robot_as_well(azimuth_deg: float) -> None:
+    straight = Magnets(azimuth_deg=0.0)
+    c, s = math.cos(math.radians(azimuth_deg)), math.sin(math.radians(azimuth_deg))
+    x_t, y_t, z_t = straight.ambient_t
+    ambient_t = (c * x_t - s * y_t, s * x_t + c * y_t, z_t)
+    turned = Magnets(azimuth_deg=azimuth_deg, ambient_t=ambient_t)
+    x_um, y_um = equilibrium_offset_um(straight, 11_000.0)
+    offset_um = equilibrium_offset_um(turned, 11_000.0)
+    assert offset_um == pytest.approx((c * x_um - s * y_um, s * x_um + c * y_um), abs=0.01)
+    assert critical_height_um(turned) == pytest.approx(critical_height_um(straight), abs=0.01)
+
+
 def test_too_high_the_needle_holds_nothing() -> None:
     with pytest.raises(ConfigError, match="no rest position"):
         equilibrium_offset_um(Magnets(), 19_000.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("tilt_deg", 90.0), ("azimuth_deg", math.nan), ("needle_length_um", 0.0)]
+)
+def test_a_needle_out_of_range_is_named(name: str, value: float) -> None:
+    with pytest.raises(ConfigError, match=f"sim.magnets.{name}"):
+        TypeAdapter(Magnets).validate_python({name: value})

@@ -11,13 +11,30 @@ from hypothesis import strategies as st
 from mrnav_server.core.arrays import ByteArray, FloatArray
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import Affine2, Calibration, StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
+from mrnav_server.sim.magnetics import Magnets
 from mrnav_server.sim.microscope import Microscope, MicroscopeConfig
 from mrnav_server.vision.vessel_model import vessel_map
 
 HEIGHT_UM = 11_720.0
 AWAY = StagePoint(60_000.0, -60_000.0, HEIGHT_UM)
 ROBOT = VesselPoint(700.0, 900.0)
+NOISY = MicroscopeConfig()
+CLEAN = MicroscopeConfig(noise=0.0)
+PICTURE = PictureFormat()
+MAGNETS = Magnets()
+
+
+def look_at(
+    vessel: VesselMap,
+    calibration: Calibration,
+    config: MicroscopeConfig = NOISY,
+    picture: PictureFormat = PICTURE,
+    magnets: Magnets = MAGNETS,
+    seed: int = 1,
+) -> Microscope:
+    return Microscope(config, picture, magnets, vessel, calibration, seed)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +65,7 @@ def calibration() -> Calibration:
 @pytest.fixture(scope="module")
 def clean(vessel: VesselMap, calibration: Calibration) -> Microscope:
     """A microscope without noise, so that pictures can be subtracted."""
-    return Microscope(MicroscopeConfig(noise=0.0), vessel, calibration, seed=1)
+    return look_at(vessel, calibration, CLEAN)
 
 
 def darkening(clean: Microscope, robot: VesselPoint | None, tip: StagePoint) -> FloatArray:
@@ -66,10 +83,10 @@ def centroid(weight: FloatArray) -> tuple[float, float]:
 
 
 def test_a_picture_has_the_cameras_format(vessel: VesselMap, calibration: Calibration) -> None:
-    picture = Microscope(MicroscopeConfig(), vessel, calibration, seed=1).render(ROBOT, AWAY)
+    picture = look_at(vessel, calibration).render(ROBOT, AWAY)
     assert picture.shape == (1200, 1600, 3)
     assert picture.dtype == np.uint8
-    small = Microscope(MicroscopeConfig(width_px=333, height_px=251), vessel, calibration, seed=1)
+    small = look_at(vessel, calibration, picture=PictureFormat(333, 251))
     assert small.render(ROBOT, StagePoint(3000.0, 3000.0, HEIGHT_UM)).shape == (251, 333, 3)
 
 
@@ -107,10 +124,9 @@ def test_the_robot_moves_by_parts_of_a_pixel(clean: Microscope) -> None:
 def test_the_magnet_appears_at_its_own_height(
     open_water: VesselMap, calibration: Calibration, place: tuple[float, float], height_um: float
 ) -> None:
-    upright = MicroscopeConfig(
-        noise=0.0, needle_tilt_deg=0.0, needle_diameter_um=50.0, magnet_length_um=100.0
-    )
-    microscope = Microscope(upright, open_water, calibration, seed=1)
+    thin = MicroscopeConfig(noise=0.0, needle_diameter_um=50.0)
+    upright = Magnets(tilt_deg=0.0, needle_length_um=100.0)
+    microscope = look_at(open_water, calibration, thin, magnets=upright)
     tip = StagePoint(*place, height_um)
     seen = calibration.tip_in_image(tip)
     column, row = round(seen.x_px), round(seen.y_px)
@@ -124,7 +140,7 @@ def test_the_magnet_appears_at_its_own_height(
 
 
 def test_a_higher_magnet_is_more_blurred(open_water: VesselMap, calibration: Calibration) -> None:
-    clean = Microscope(MicroscopeConfig(noise=0.0), open_water, calibration, seed=1)
+    clean = look_at(open_water, calibration, CLEAN)
     sharpness = []
     for z_um in (7_000.0, 12_000.0, 18_000.0):
         # Smoothed, so that a speck of dust that gets hidden does not count as an edge.
@@ -151,11 +167,10 @@ def test_whatever_was_painted_is_gone_in_the_next_picture(
 def test_any_pose_of_the_needle_can_be_painted(
     vessel: VesselMap, calibration: Calibration, azimuth_deg: float, tilt_deg: float
 ) -> None:
-    config = MicroscopeConfig(
-        width_px=800, height_px=600, noise=0.0, needle_tilt_deg=tilt_deg, needle_azimuth_deg=azimuth_deg
-    )
-    centered = replace(calibration, image_center_px=(399.5, 299.5))
-    microscope = Microscope(config, vessel, centered, seed=1)
+    picture = PictureFormat(800, 600)
+    magnets = Magnets(tilt_deg=tilt_deg, azimuth_deg=azimuth_deg)
+    centered = replace(calibration, image_center_px=picture.center_px)
+    microscope = look_at(vessel, centered, CLEAN, picture, magnets)
     seen = np.abs(darkening(microscope, None, StagePoint(4_000.0, 5_500.0, HEIGHT_UM))) > 5.0
     heading = np.deg2rad(azimuth_deg)
     assert np.count_nonzero(seen) > 2000
@@ -169,7 +184,7 @@ def test_any_pose_of_the_needle_can_be_painted(
 def test_noise_is_fresh_in_every_picture_and_the_same_everywhere(
     vessel: VesselMap, calibration: Calibration
 ) -> None:
-    microscope = Microscope(MicroscopeConfig(noise=3.0), vessel, calibration, seed=1)
+    microscope = look_at(vessel, calibration, MicroscopeConfig(noise=3.0))
     first, second = (microscope.render(ROBOT, AWAY).astype(np.float64) for _ in range(2))
     change = (first - second) / np.sqrt(2.0)
     on_robot, on_floor = change[590:611, 656:677], change[400:500, 700:900]
@@ -180,7 +195,7 @@ def test_noise_is_fresh_in_every_picture_and_the_same_everywhere(
 
 def test_no_two_pictures_in_a_row_are_the_same(vessel: VesselMap, calibration: Calibration) -> None:
     # A small picture, so that enough of them can be compared: a chance repeat has odds of 1 in 4096.
-    microscope = Microscope(MicroscopeConfig(width_px=64, height_px=64), vessel, calibration, seed=1)
+    microscope = look_at(vessel, calibration, picture=PictureFormat(64, 64))
     before = microscope.render(None, AWAY)
     for _ in range(20_000):
         picture = microscope.render(None, AWAY)
@@ -190,7 +205,7 @@ def test_no_two_pictures_in_a_row_are_the_same(vessel: VesselMap, calibration: C
 
 def test_a_seed_gives_the_same_pictures_again(vessel: VesselMap, calibration: Calibration) -> None:
     def pictures(seed: int) -> list[ByteArray]:
-        microscope = Microscope(MicroscopeConfig(), vessel, calibration, seed)
+        microscope = look_at(vessel, calibration, seed=seed)
         return [microscope.render(ROBOT, AWAY) for _ in range(2)]
 
     first, again, other = pictures(5), pictures(5), pictures(6)
@@ -208,7 +223,9 @@ def test_the_lumen_is_brighter_than_robot_and_wall(clean: Microscope, calibratio
     assert at[1] > at[2] + 25.0
 
 
-@pytest.mark.parametrize(("field", "value"), [("noise", -1.0), ("width_px", 10), ("pupil_um", float("nan"))])
+@pytest.mark.parametrize(
+    ("field", "value"), [("noise", -1.0), ("needle_diameter_um", 10.0), ("pupil_um", float("nan"))]
+)
 def test_a_setting_out_of_range_names_itself(field: str, value: float) -> None:
     with pytest.raises(ConfigError, match=field):
-        replace(MicroscopeConfig(), **{field: value})  # type: ignore[arg-type]
+        replace(NOISY, **{field: value})

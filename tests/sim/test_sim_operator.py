@@ -14,6 +14,7 @@ from mrnav_server.core.frames import StagePoint, VesselPoint
 from mrnav_server.core.hand import HandConfig, HandControl
 from mrnav_server.core.hand_stream import HandStream
 from mrnav_server.core.modes import Mode
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_hand import HandMessage
 from mrnav_server.sim.operator import (
@@ -159,7 +160,8 @@ def test_it_brings_the_robot_to_the_centre_on_the_simulated_rig(
     dish: VesselMap, seed: int, friction: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    world = SimulatedWorld(SimConfig(friction=friction, start=VesselPoint(300.0, 300.0), seed=seed), dish)
+    config = SimConfig(friction=friction, start=VesselPoint(300.0, 300.0), seed=seed)
+    world = SimulatedWorld(config, dish, PictureFormat())
     came_from, away = rng.uniform(0.0, 2 * math.pi, 2)
     tip = world.tip
     parked = StagePoint(

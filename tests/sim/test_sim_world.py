@@ -10,6 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.sim.magnetics import Magnets
 from mrnav_server.sim.world import SimConfig, SimulatedWorld, start_near_an_end
@@ -28,7 +29,7 @@ CONFIG = SimConfig(start=VesselPoint(300.0, 900.0))
 
 
 def make(config: SimConfig = CONFIG) -> SimulatedWorld:
-    return SimulatedWorld(config, vessel())
+    return SimulatedWorld(config, vessel(), PictureFormat())
 
 
 def go(world: SimulatedWorld, dx_um: float, dy_um: float, dz_um: float, speed_um_per_s: float) -> None:
@@ -60,7 +61,8 @@ def test_the_image_and_the_travel_are_centred_on_the_vessel() -> None:
 
 
 def test_the_told_offset_is_wrong_by_the_stated_error_in_a_seeded_direction() -> None:
-    told = {SimulatedWorld(CONFIG, vessel(), seed).calibration.magnet_offset_um for seed in range(4)}
+    worlds = [SimulatedWorld(CONFIG, vessel(), PictureFormat(), seed) for seed in range(4)]
+    told = {world.calibration.magnet_offset_um for world in worlds}
     true_um = make().true_calibration.magnet_offset_um
     assert len(told) == 4
     assert [math.dist(offset_um, true_um) for offset_um in told] == pytest.approx([100.0] * 4)
@@ -108,7 +110,7 @@ def test_its_time_can_be_put_on_a_clock() -> None:
 
 def test_the_same_seed_gives_the_same_world() -> None:
     def run(seed: int) -> SimulatedWorld:
-        world = SimulatedWorld(CONFIG, vessel(), seed)
+        world = SimulatedWorld(CONFIG, vessel(), PictureFormat(), seed)
         go(world, 2000.0, 4000.0, 0.0, 3000.0)
         world.advance(2.0)
         return world
@@ -243,7 +245,8 @@ def test_a_needle_beyond_the_travel_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("friction", -0.1), ("friction", math.nan), ("camera_fps", 0.0), ("drag_factor", 0.5)]
+    ("name", "value"),
+    [("friction", -0.1), ("friction", math.nan), ("camera_latency_ms", -1.0), ("drag_factor", 0.5)],
 )
 def test_a_setting_out_of_range_is_named(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=f"sim.{name}"):

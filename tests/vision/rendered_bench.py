@@ -7,7 +7,9 @@ import numpy as np
 
 from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.frames import Affine2, Calibration, ImagePoint, StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame, Track
+from mrnav_server.sim.magnetics import Magnets
 from mrnav_server.sim.microscope import Microscope, MicroscopeConfig
 from mrnav_server.vision.tracker import Tracker, TrackerConfig
 from mrnav_server.vision.vessel_model import vessel_map
@@ -71,4 +73,6 @@ def _rendered(um_per_image_px: float) -> tuple[Microscope, Calibration]:
         magnet_offset_um=(0.0, 0.0),
         critical_height_um=11_270.0,
     )
-    return Microscope(MicroscopeConfig(), vessel_map("bench", mask), calibration, seed=7), calibration
+    vessel = vessel_map("bench", mask)
+    microscope = Microscope(MicroscopeConfig(), PictureFormat(), Magnets(), vessel, calibration, seed=7)
+    return microscope, calibration
