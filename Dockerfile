@@ -7,7 +7,7 @@ ARG PIP_FLAGS=""
 WORKDIR /source
 COPY . .
 RUN python -m venv /opt/mrnav \
-    && /opt/mrnav/bin/pip install --no-cache-dir --disable-pip-version-check $PIP_FLAGS .
+    && /opt/mrnav/bin/pip install --no-cache-dir --disable-pip-version-check $PIP_FLAGS '.[study]'
 
 FROM python:3.11-slim
 RUN useradd --uid 10001 --create-home mrnav && install -d -o mrnav -g mrnav /trials

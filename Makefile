@@ -64,7 +64,7 @@ $(PY):
 BUILD_INPUTS := pyproject.toml $(wildcard hatch_build.py static/package-lock.json)
 
 $(VENV)/.installed: $(BUILD_INPUTS) | $(PY)
-	$(PIP) --editable .
+	$(PIP) --editable '.[all]'
 	@touch $@
 
 $(VENV)/.installed-test: $(BUILD_INPUTS) | $(PY)

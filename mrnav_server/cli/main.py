@@ -18,6 +18,9 @@ from mrnav_server.cli.serve import serve
 from mrnav_server.cli.train import train
 from mrnav_server.core.errors import ConfigError, MrnavError
 
+_EXTRAS = {"gymnasium": "train", "matplotlib": "study"}
+"""Packages that only some commands need, and the extra that brings them."""
+
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
 for command in (serve, demo, operate, doctor, train, evaluate, report, bench):
     app.command()(command)
@@ -50,6 +53,12 @@ def main() -> None:
         sys.exit(_told(error, 2))
     except MrnavError as error:
         sys.exit(_told(error, 1))
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        extra = _EXTRAS.get(name)
+        if extra is None:
+            raise
+        sys.exit(_told(ConfigError(f"this needs {name}: pip install 'mrnav-server[{extra}]'"), 2))
 
 
 def _told(error: MrnavError, code: int) -> int:

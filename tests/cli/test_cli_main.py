@@ -2,6 +2,7 @@
 
 import json
 import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -112,3 +113,16 @@ def test_the_doctor_prints_a_table() -> None:
     result = CliRunner().invoke(app, ["doctor"])
     assert result.exit_code == 0
     assert "vessel model" in result.stdout
+
+
+def test_a_command_whose_extra_is_missing_names_it() -> None:
+    hidden = (
+        "import sys; sys.modules['matplotlib'] = None; sys.argv = ['mrnav', 'demo', '--help']\n"
+        "import mrnav_server.cli.main as main\n"
+        "def broken(): import matplotlib.axes\n"
+        "main.app = broken\n"
+        "main.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", hidden], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.strip() == "error: this needs matplotlib: pip install 'mrnav-server[study]'"
