@@ -17,7 +17,7 @@ class HandSeat:
     Args:
         lease: Has one seat for a hand.
         hand: Takes the samples.
-        step: Runs the control loop at once, given the arrival of the sample's line in seconds.
+        step: Runs the control loop at once, given when the sample's line arrived, in seconds, if one did.
         hold: Asks for HOLD if the rig is armed.
         on_message: Told every sample of the holder, for the measured rates.
         announce: Tells everybody what happened, and records it.
@@ -29,7 +29,7 @@ class HandSeat:
         self,
         lease: Lease,
         hand: HandControl,
-        step: Callable[[float], None],
+        step: Callable[[float | None], None],
         hold: Callable[[], None],
         on_message: Callable[[HandSample], None],
         announce: Announce,
@@ -44,19 +44,15 @@ class HandSeat:
         self._record = record
         self._clock = clock
         self._on_message = on_message
+        self._last: tuple[str, str] | None = None
 
     def acquire(self, session: str, hello: Hello) -> bool:
         """Make a session the hand; tell whether it is."""
-        try:
-            self._lease.take_hand(session, hello.client or "hand", self._clock())
-        except RefusedError:
-            return False
-        self._tell_lease()
-        return True
+        return self._sit(session, hello.client or "hand")
 
     def take(self, sample: HandSample) -> None:
         """Let an accepted sample of the holder move the rig; anybody else's moves nothing."""
-        if not self._lease.is_hand(sample.session):
+        if not self._lease.is_hand(sample.session) and not self._returns(sample.session):
             return
         self._lease.hear(sample.session, self._clock())
         self._on_message(sample)
@@ -84,10 +80,27 @@ class HandSeat:
 
     def leave(self, session: str) -> None:
         """Free the seat: the link has ended."""
+        if self._last is not None and self._last[0] == session:
+            self._last = None
         if self._lease.is_hand(session):
             self._hand.lose()
             self._lease.give_back(session)
+            # The rig holds before anybody else may sit down.
+            self._step(None)
             self._tell_lease()
+
+    def _sit(self, session: str, client: str) -> bool:
+        try:
+            self._lease.take_hand(session, client, self._clock())
+        except RefusedError:
+            return False
+        self._last = (session, client)
+        self._tell_lease()
+        return True
+
+    def _returns(self, session: str) -> bool:
+        """Let a link whose seat was freed by its silence sit down again, unless somebody else did."""
+        return self._last is not None and self._last[0] == session and self._sit(*self._last)
 
     def _tell_lease(self) -> None:
         self._announce("lease", {"epoch": self._lease.epoch, "client": self._lease.state().client})

@@ -204,7 +204,7 @@ class Rig:
         if ask is not Ask.HOLD:
             self._require_lease(session)
         if ask is Ask.AUTO:
-            await self._prepare_auto(area)
+            await self._prepare_auto(session, area)
         self.control.submit(ask, self._clock())
         self._publish()
 
@@ -225,8 +225,10 @@ class Rig:
         self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
 
     def give_lease(self, session: str) -> None:
-        """Give control back."""
+        """Give control back; the rig holds before anybody else may take it."""
         self.lease.give_back(session)
+        if self.control.machine.mode in ARMED:
+            self._step(self._clock())
         self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
 
     def heartbeat(self, session: str) -> None:
@@ -306,8 +308,12 @@ class Rig:
         async for _ in ticks(0.01, self._clock):
             order = self.navigator.autopilot.order
             if order is not None:
-                path = await self.navigator.plan_order(order)
-                self.navigator.autopilot.deliver(order, path)
+                try:
+                    path = await self.navigator.plan_order(order)
+                except RefusedError as refused:
+                    self.navigator.autopilot.decline(order, str(refused))
+                else:
+                    self.navigator.autopilot.deliver(order, path)
 
     def _step(self, now_s: float, received_s: float | None = None) -> None:
         """Step the control loop, at a beat or for a hand sample that was received just now."""
@@ -337,10 +343,14 @@ class Rig:
         if before not in ARMED and after in ARMED and self._recorder.trial is None:
             self.marks.restart()
         if before is Mode.AUTO and after is Mode.MANUAL:
-            by = "takeover" if self.control.facts.clutch_closing else "arrival"
+            facts = self.control.facts
+            by = "arrival" if facts.arrived and not facts.clutch_closing else "takeover"
             self._announce("handover", {"by": by, "distance_um": self.control.distance_um})
         if after is Mode.FAULT:
             self._announce("fault", {"reason": change.reason})
+        if before is Mode.AUTO and self.control.area not in self.areas.list():
+            # The goal was removed or changed under way.
+            self._on_areas()
 
     def _on_message(self, sample: HandSample) -> None:
         self.telemetry.hand_messages.add(sample.received_s)
@@ -386,15 +396,24 @@ class Rig:
 
     # -- helpers ---------------------------------------------------------------------------------------
 
-    async def _prepare_auto(self, area_id: str | None) -> None:
-        """Choose the area and plan the way there, before AUTO is entered."""
+    async def _prepare_auto(self, session: str, area_id: str | None) -> None:
+        """Choose the area and plan the way there, before AUTO is entered.
+
+        Raises:
+            RefusedError: If a guard of AUTO fails, or somebody acted meanwhile: whoever did wins.
+        """
         if area_id is not None:
             self.control.choose_area(self.areas.get(area_id))
         self.control.check(Ask.AUTO, self._clock())
         area, robot = self.control.area, self.control.robot
         if area is None or robot is None:
             raise RuntimeError("the guards of AUTO let a task without a start or a goal pass")
+        generation = self.control.generation
         path = await self.navigator.plan(robot, area.center)
+        if self.control.generation != generation:
+            raise RefusedError("overtaken", "the rig was used while the path was planned: ask again")
+        self._require_lease(session)
+        self.control.check(Ask.AUTO, self._clock())
         self.navigator.autopilot.prepare(path, area.center)
         if path.fallback:
             self._announce("fault", {"reason": f"the geodesic stands in: {path.fallback}"})

@@ -45,7 +45,7 @@ class HandControl:
     """The operator's hand as the control loop sees it.
 
     The clutch must be closed anew for the hand to engage: a clutch that was already closed when a mode
-    began moves nothing.
+    began, or when the hand came into view, moves nothing.
 
     Args:
         config: Gains and bounds.
@@ -58,7 +58,8 @@ class HandControl:
         self._speed_um_per_s = speed_um_per_s
         self._received_s = -math.inf
         self._clutch = False
-        self._closing = False
+        self._closing = self._closing_anew = False
+        self._seen_open = False
         self._engaged = False
         self._pose: HandPoint | None = None
         self._pose_s = 0.0
@@ -82,9 +83,15 @@ class HandControl:
         """Tell whether a valid sample arrived within ``hold_s``."""
         return now_s - self._received_s <= self._config.hold_s
 
-    def take_closing(self) -> bool:
-        """Return whether the clutch was closed since the last call, and forget it."""
-        closing, self._closing = self._closing, False
+    def take_closing(self, *, anew: bool = True) -> bool:
+        """Return whether the clutch was closed since the last call, and forget it.
+
+        Args:
+            anew: Only a clutch that was seen open before counts; False also takes a hand that comes into view
+                with its clutch closed.
+        """
+        closing = self._closing_anew if anew else self._closing
+        self._closing = self._closing_anew = False
         return closing
 
     def on_sample(self, sample: HandSample) -> None:
@@ -93,11 +100,12 @@ class HandControl:
             self._open_clutch()
             return
         self._received_s = sample.received_s
-        if sample.clutch and not self._clutch:
-            self._closing = True
-        if not sample.clutch:
+        if sample.clutch:
+            self._closing |= not self._clutch
+            self._closing_anew |= self._seen_open
+        else:
             self._open_clutch()
-        self._clutch = sample.clutch
+        self._clutch, self._seen_open = sample.clutch, not sample.clutch
         if not sample.new_pose:
             return
         if self._engaged and self._pose is not None:
@@ -120,6 +128,7 @@ class HandControl:
     def lose(self) -> None:
         """Forget the hand: its link ended or its lease was lost."""
         self._open_clutch()
+        self._seen_open = False
         self._received_s = -math.inf
         self._pose = None
 
@@ -138,9 +147,7 @@ class HandControl:
         )
 
     def _open_clutch(self) -> None:
-        self._clutch = False
-        self._closing = False
-        self._engaged = False
+        self._clutch = self._closing = self._closing_anew = self._engaged = False
 
     def _add_increment(self, before: HandPoint, after: HandPoint, elapsed_s: float) -> None:
         hand_um = tuple(1e6 * (b - a) for a, b in zip(_xyz(before), _xyz(after), strict=True))

@@ -56,7 +56,7 @@ _MAY_ASK: dict[Ask, frozenset[Mode]] = {
     Ask.ARM: frozenset({Mode.DISARMED}),
     Ask.DISARM: ARMED | {Mode.DISARMED},
     Ask.MANUAL: ARMED,
-    Ask.AUTO: ARMED,
+    Ask.AUTO: ARMED - {Mode.AUTO},
     Ask.HOLD: ARMED,
     Ask.STOP: frozenset(Mode),
     Ask.RESET: LATCHED,
@@ -185,7 +185,8 @@ class ModeMachine:
             self._enter(Mode.MANUAL, "", changes)
         elif ask is Ask.AUTO:
             self._enter(Mode.AUTO, "", changes)
-        elif ask is Ask.HOLD:
+        elif ask is Ask.HOLD and self._mode is not Mode.HOLD:
+            # A rig that holds already keeps its reason, and goes on to disarm if that was asked.
             self._enter(Mode.HOLD, "hold was asked", changes)
         elif ask is Ask.RESET:
             self._enter(Mode.DISARMED, "", changes)
@@ -226,6 +227,7 @@ class ModeMachine:
 def _remedy(mode: Mode) -> str:
     return {
         Mode.DISARMED: "arm first",
+        Mode.AUTO: "hold first",
         Mode.FAULT: "reset first, once the cause is gone",
         Mode.STOP: "reset first",
     }.get(mode, "disarm first")

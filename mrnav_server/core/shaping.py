@@ -27,6 +27,12 @@ class Reference:
     velocity_um_per_s: tuple[float, float, float]
     speed_um_per_s: float
 
+    @property
+    def finite(self) -> bool:
+        """Whether every number in it is."""
+        at = self.position
+        return all(map(math.isfinite, (at.x_um, at.y_um, at.z_um, *self.velocity_um_per_s)))
+
 
 @dataclass(frozen=True, slots=True)
 class ShaperGains:
@@ -83,6 +89,20 @@ class Shaper:
         """Whether the setpoint stands still (slower than a manipulator can be told to move)."""
         return self.speed_um_per_s < 1.0 and math.hypot(*self._a) < 1000.0
 
+    @property
+    def rest_point(self) -> StagePoint:
+        """Where the setpoint comes to rest if it brakes now.
+
+        The acceleration is taken back first, then the speed, both as fast as jerk and acceleration allow.
+        """
+        most, jerk = self._limits.acceleration_um_per_s2, self._limits.jerk_um_per_s3
+        back_s = math.hypot(*self._a) / jerk
+        p = [p + v * back_s + a * back_s**2 / 3 for p, v, a in zip(self._p, self._v, self._a, strict=True)]
+        v = [v + a * back_s / 2 for v, a in zip(self._v, self._a, strict=True)]
+        speed = math.hypot(*v)
+        braking_s = speed / most + most / jerk if speed > most**2 / jerk else 2 * math.sqrt(speed / jerk)
+        return StagePoint(*(p + v * braking_s / 2 for p, v in zip(p, v, strict=True)))
+
     def reset(self, position: StagePoint) -> None:
         """Stand still at a position: before the first motion, and after a device stop."""
         self._p = [position.x_um, position.y_um, position.z_um]
@@ -121,16 +141,25 @@ class Shaper:
             scale = bound / asked
             ax, ay, az = ax * scale, ay * scale, az * scale
         a, v, p = self._a, self._v, self._p
-        jx, jy, jz = ax - a[0], ay - a[1], az - a[2]
-        step = math.sqrt(jx * jx + jy * jy + jz * jz)
         most = limits.jerk_um_per_s3 * h_s
-        if step > most:
-            scale = most / step
-            jx, jy, jz = jx * scale, jy * scale, jz * scale
-        for axis, jerk_step in enumerate((jx, jy, jz)):
-            a[axis] += jerk_step
+        jx, jy, jz = ax - a[0], ay - a[1], az - a[2]
+        scale = min(1.0, most / max(math.hypot(jx, jy, jz), 1e-9))
+        turned = [a[0] + scale * jx, a[1] + scale * jy, a[2] + scale * jz]
+        kept = max(0.0, 1.0 - most / max(math.hypot(*a), 1e-9))
+        eased = [kept * a[0], kept * a[1], kept * a[2]]
+        top = reference.speed_um_per_s if reference is not None else 0.0
+        # Easing off now keeps the speed limit; so whatever would break it has to wait.
+        if self._speed_after(turned, h_s) > max(top, self._speed_after(eased, h_s)):
+            turned = eased
+        for axis in range(3):
+            a[axis] = turned[axis]
             v[axis] += a[axis] * h_s
             p[axis] += v[axis] * h_s
+
+    def _speed_after(self, a: list[float], h_s: float) -> float:
+        """Return the speed once an acceleration has acted for a moment and been taken back."""
+        v, left_s = self._v, h_s + math.hypot(*a) / (2.0 * self._limits.jerk_um_per_s3)
+        return math.hypot(v[0] + left_s * a[0], v[1] + left_s * a[1], v[2] + left_s * a[2])
 
 
 def _wanted_velocity(

@@ -81,6 +81,7 @@ class Autopilot:
         self._robot: VesselPoint | None = None
         self._moved_s = 0.0
         self._fresh_path = False
+        self._no_path = ""
 
     @property
     def path_px(self) -> tuple[tuple[float, float], ...]:
@@ -116,7 +117,7 @@ class Autopilot:
             raise RuntimeError("AUTO began without a path")
         self._follower.start(self._path, track, tip, now_s)
         self._robot, self._moved_s = track.vessel, now_s
-        self.order, self._wish, self._fresh_path = None, None, False
+        self.order, self._wish, self._fresh_path, self._no_path = None, None, False, ""
 
     def end(self) -> None:
         """Stop driving: AUTO was left."""
@@ -131,6 +132,11 @@ class Autopilot:
             self.order = PathOrder(order.start, order.target, back_off=False)
             return
         self._path, self._fresh_path, self.order = path, True, None
+
+    def decline(self, order: PathOrder, reason: str) -> None:
+        """Take note that an order cannot be met: the policy gives up."""
+        if order is self.order:
+            self._no_path = reason
 
     def reference(self, seen: Track | None, tip: TipReading, z_um: float, now_s: float) -> Reference | None:
         """Return where the tip should be; None while a path is being planned or the task is over.
@@ -164,6 +170,8 @@ class Autopilot:
 
     def stuck(self, now_s: float) -> str:
         """Return why autonomy gives up, or ""."""
+        if self._no_path:
+            return self._no_path
         if self._wish is not None and self._wish.status in (FollowerStatus.STUCK, FollowerStatus.LOST):
             return self._wish.reason
         if self._robot is not None and now_s - self._moved_s > self._config.progress_s and not self.at_target:

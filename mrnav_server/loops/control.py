@@ -32,6 +32,9 @@ from mrnav_server.loops.timing import RollingLatency
 
 Log = Callable[[str, dict[str, Any]], None]
 
+_EDGE_UM = 10.0
+"""The setpoint may come to rest this far outside; what is sent stays inside."""
+
 
 @dataclass(frozen=True, slots=True)
 class ControlConfig:
@@ -87,6 +90,8 @@ class ControlLoop:
         self.machine = ModeMachine()
         self.shaper = Shaper(limits)
         self.hand_to_command = RollingLatency()
+        self.generation = 0
+        """Rises with every ask that is granted, closed clutch, change of mode and change of the goal."""
         self.counters = {"commands": 0, "clamped": 0, "non_finite": 0, "held_back": 0}
         self.recorder_fault: Callable[[], str] = lambda: ""
         self._config = config
@@ -106,7 +111,8 @@ class ControlLoop:
         self._seen: Track | None = None
         self._tip: TipReading | None = None
         self._area: CriticalArea | None = None
-        self._device_fault = ""
+        self._tip_fault = ""
+        self._move_fault = ""
         self._supervised_by_hand = False
         self._stepped_s: float | None = None
         self._sample_s: float | None = None
@@ -174,6 +180,7 @@ class ControlLoop:
         """
         if self.machine.mode is Mode.AUTO:
             raise RefusedError("busy", "the policy is driving: hold first")
+        self.generation += area != self._area
         self._area = area
 
     def on_hand(self, received_s: float, now_s: float) -> None:
@@ -198,6 +205,7 @@ class ControlLoop:
             RefusedError: If it is not granted, with the reason.
         """
         self.check(ask, now_s)
+        self.generation += 1
         self._asks.append(ask)
         self.step(now_s)
 
@@ -209,18 +217,24 @@ class ControlLoop:
         """
         dt_s = 0.0 if self._stepped_s is None else now_s - self._stepped_s
         self._stepped_s = now_s
-        facts = self._gather(now_s, closing=self._hand.take_closing())
+        # A hand that comes into view closed takes over from the policy, but wakes nothing that rests.
+        closing = self._hand.take_closing(anew=self.machine.mode is not Mode.AUTO)
+        facts = self._gather(now_s, closing=closing)
         self._facts = facts
+        self.generation += closing
         asks, self._asks = self._asks, []
         for change in self.machine.settle(asks, facts):
             self._on_change(change, now_s)
         mode = self.machine.mode
         if mode not in ARMED or self._tip is None:
+            # FAULT has latched a move that failed; the next arming tries again.
+            self._move_fault = ""
             return
         if mode is not Mode.AUTO:
             self._autopilot.watch(self._seen, self._tip)
         if mode is Mode.MANUAL and facts.clutch_closing and not self._hand.engaged:
-            self._hand.engage(self.shaper.position, now_s)
+            # Where the magnet comes to rest, so that the hand does not call it back.
+            self._hand.engage(self.shaper.rest_point, now_s)
         self._move(dt_s, self._wish(mode, now_s), self._tip, now_s)
 
     def _gather(self, now_s: float, *, closing: bool = False) -> Facts:
@@ -233,7 +247,8 @@ class ControlLoop:
         recorder_fault = self.recorder_fault()
         gap_um = self._gap_um() if self.machine.mode in ARMED else 0.0
         fault = (
-            self._device_fault
+            self._tip_fault
+            or self._move_fault
             or (tip_fault(self._tip, self._guards, now_s) if self._tip else "")
             or self._following.fault(gap_um, now_s)
         )
@@ -244,7 +259,9 @@ class ControlLoop:
             at_rest=self.shaper.at_rest or self.machine.mode not in ARMED,
             arrived=self._arrived(),
             fault=fault,
-            arm_refusal=arm_refusal(self._tip, self._limits, self._calibration, recorder_fault),
+            arm_refusal=arm_refusal(
+                self._tip, self._limits, self._calibration, self._vessel, recorder_fault
+            ),
             auto_refusal=self._auto_refusal(fresh, recorder_fault, now_s),
             warning=recorder_fault or track_refusal(self._track, self._seen, self._guards, now_s),
         )
@@ -262,8 +279,15 @@ class ControlLoop:
             or ("" if self._area else "no critical area is chosen: mark one first")
             or self._autopilot.refusal
             or recorder_fault
-            or (self._autopilot.stuck(now_s) if self.machine.mode is Mode.AUTO else "")
+            or (self._gave_up(now_s) if self.machine.mode is Mode.AUTO else "")
         )
+
+    def _gave_up(self, now_s: float) -> str:
+        """Return why the policy cannot go on, or ""."""
+        away_um = self.distance_um
+        if self._autopilot.at_target and away_um is not None and not self._arrived():
+            return f"the robot rests {away_um:.0f} µm from the centre, outside the area: go on by hand"
+        return self._autopilot.stuck(now_s)
 
     def _arrived(self) -> bool:
         """Tell whether |P_s − P_critical| ≤ ε holds, on the tip and (by setting) on the robot."""
@@ -279,6 +303,7 @@ class ControlLoop:
         return tip_um <= self._area.epsilon_um and (robot_there or not self._config.require_robot)
 
     def _on_change(self, change: Transition, now_s: float) -> None:
+        self.generation += 1
         if change.before is Mode.AUTO:
             self._autopilot.end()
         if change.after in (Mode.STOP, Mode.FAULT):
@@ -288,7 +313,7 @@ class ControlLoop:
         if change.after is not Mode.MANUAL:
             self._hand.release()
         # Whoever began AUTO must stay: a console does not stand in for a hand that was lost on the way.
-        self._supervised_by_hand = change.after is Mode.AUTO and self._lease.state().hand
+        self._supervised_by_hand = change.after is Mode.AUTO and self._facts.hand_fresh
         if change.after is Mode.AUTO and self._seen is not None and self._tip is not None:
             self._autopilot.begin(self._seen, self._tip, now_s)
         self._tell_change(change)
@@ -302,26 +327,29 @@ class ControlLoop:
             wish = self._autopilot.reference(self._seen, self._tip, self.shaper.position.z_um, now_s)
         if wish is None:
             return None
-        try:
-            target = allowed_target(wish.position, self._limits, self._calibration, self._vessel)
-        except RefusedError:
+        if not wish.finite:
             self.counters["non_finite"] += 1
             return None
-        if target != wish.position:
-            self.counters["clamped"] += 1
-            return Reference(target, (0.0, 0.0, 0.0), wish.speed_um_per_s)
-        return wish
+        rest = self.shaper.rest_point
+        kept = self._allowed(rest)
+        # Whoever waits until the setpoint is at the edge of where it may be can no longer stop there.
+        target = kept if _distance_um(kept, rest) > _EDGE_UM else self._allowed(wish.position)
+        if target == wish.position:
+            return wish
+        self.counters["clamped"] += 1
+        return Reference(target, (0.0, 0.0, 0.0), wish.speed_um_per_s)
 
     def _move(self, dt_s: float, reference: Reference | None, tip: TipReading, now_s: float) -> None:
         before = self.shaper.position
         top_um_per_s = max(self._limits.speed_um_per_s, self._limits.autonomy_speed_um_per_s)
-        if self._gap_um() > top_um_per_s * self._limits.ahead_s and reference is not None:
+        ahead_um = top_um_per_s * self._limits.ahead_s
+        if self._gap_um() > ahead_um and reference is not None:
             self.counters["held_back"] += 1
             reference = None
         wished = self.shaper.step(dt_s, reference)
         if wished == before:
             return
-        target = allowed_target(wished, self._limits, self._calibration, self._vessel)
+        target = self._allowed(_towards(wished, tip.position, ahead_um))
         gap_um = _distance_um(target, tip.position)
         # Fast enough to close the gap in half the time that the setpoint may be ahead.
         speed_um_per_s = min(
@@ -330,7 +358,7 @@ class ControlLoop:
         try:
             sent = self._manipulator.move_to(target, speed_um_per_s, now_s)
         except DeviceError as error:
-            self._device_fault = f"manipulator: {error}"
+            self._move_fault = f"manipulator: {error}"
             return
         self.counters["commands"] += 1
         if self._sample_s is not None:
@@ -347,12 +375,15 @@ class ControlLoop:
             },
         )
 
+    def _allowed(self, point: StagePoint) -> StagePoint:
+        return allowed_target(point, self._limits, self._calibration, self._vessel)
+
     def _read_tip(self) -> None:
         try:
             self._tip = self._manipulator.tip()
-            self._device_fault = ""
+            self._tip_fault = ""
         except DeviceError as error:
-            self._device_fault = f"manipulator: {error}"
+            self._tip_fault = f"manipulator: {error}"
 
     def _gap_um(self) -> float:
         return _distance_um(self.shaper.position, self._tip.position) if self._tip is not None else 0.0
@@ -360,3 +391,16 @@ class ControlLoop:
 
 def _distance_um(a: StagePoint, b: StagePoint) -> float:
     return math.hypot(a.x_um - b.x_um, a.y_um - b.y_um, a.z_um - b.z_um)
+
+
+def _towards(target: StagePoint, tip: StagePoint, most_um: float) -> StagePoint:
+    """Return the target, or the place on the way there that is ``most_um`` from the tip."""
+    gap_um = _distance_um(target, tip)
+    if gap_um <= most_um:
+        return target
+    share = most_um / gap_um
+    return StagePoint(
+        tip.x_um + share * (target.x_um - tip.x_um),
+        tip.y_um + share * (target.y_um - tip.y_um),
+        tip.z_um + share * (target.z_um - tip.z_um),
+    )

@@ -3,8 +3,12 @@
 from dataclasses import dataclass
 
 from mrnav_server.core.frames import Calibration
-from mrnav_server.core.limits import Limits
+from mrnav_server.core.limits import Limits, outside_um
 from mrnav_server.core.records import TipReading, Track, TrackState
+from mrnav_server.core.vessel import VesselMap
+
+_ARM_WITHIN_UM = 20.0
+"""Noise of a tip that rests at the edge of where it may be; from further out it would leap back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +65,9 @@ def tip_fault(tip: TipReading, config: GuardConfig, now_s: float) -> str:
     return ""
 
 
-def arm_refusal(tip: TipReading | None, limits: Limits, calibration: Calibration, recorder_fault: str) -> str:
+def arm_refusal(
+    tip: TipReading | None, limits: Limits, calibration: Calibration, vessel: VesselMap, recorder_fault: str
+) -> str:
     """Return why the rig must not be armed, or ""."""
     if tip is None:
         return "the manipulator has not reported a position yet"
@@ -78,6 +84,12 @@ def arm_refusal(tip: TipReading | None, limits: Limits, calibration: Calibration
     height_um = calibration.height_um(tip.position)
     if height_um < calibration.critical_height_um:
         return f"the magnet is below its critical height ({height_um:.0f} µm): raise it by hand first"
+    stray_um = outside_um(tip.position, limits, calibration, vessel)
+    if stray_um > _ARM_WITHIN_UM:
+        return (
+            f"the magnet is {stray_um:.0f} µm from where it may move: raise it or bring it over the vessel"
+            " by hand first"
+        )
     return recorder_fault
 
 

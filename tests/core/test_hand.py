@@ -135,6 +135,26 @@ def test_a_clutch_that_stays_closed_does_not_close_twice() -> None:
     assert not hand.take_closing()
 
 
+def test_a_hand_that_comes_into_view_closed_has_not_closed_its_clutch_anew() -> None:
+    for blind in (lambda hand: hand.on_sample(sample(0.05, valid=False)), HandControl.lose):
+        hand = engaged()
+        blind(hand)
+        hand.on_sample(sample(0.06))
+        assert hand.clutch
+        assert not hand.take_closing()
+        hand.on_sample(sample(0.08, clutch=False))
+        hand.on_sample(sample(0.1))
+        assert hand.take_closing()
+
+
+def test_a_hand_that_comes_into_view_closed_may_count_as_a_takeover() -> None:
+    hand = HandControl(HandConfig(), 3000.0)
+    hand.on_sample(sample(0.0))
+    assert hand.take_closing(anew=False)
+    hand.on_sample(sample(0.02))
+    assert not hand.take_closing(anew=False)
+
+
 @pytest.mark.parametrize("bad", [{"hold_s": 0.5}, {"gain": 0.0}, {"gain": math.inf}])
 def test_settings_have_ceilings_in_code(bad: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):

@@ -5,14 +5,14 @@ import math
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.frames import Affine2, Calibration, StagePoint, VesselPoint
 from mrnav_server.core.lease import Lease
-from mrnav_server.core.limits import Limits, allowed_target
+from mrnav_server.core.limits import Limits, allowed_target, outside_um
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.vision.vessel_model import vessel_map
 
@@ -32,6 +32,16 @@ def channel() -> VesselMap:
     mask = np.zeros((1800, 1800), np.uint8)
     cv2.rectangle(mask, (200, 800), (1600, 1000), 255, -1)
     return vessel_map("channel", mask)
+
+
+@pytest.fixture(scope="module")
+def branches() -> VesselMap:
+    """Two parallel channels, too far apart for the magnet to cross."""
+    mask = np.zeros((1800, 1800), np.uint8)
+    cv2.rectangle(mask, (300, 500), (1500, 640), 255, -1)
+    cv2.rectangle(mask, (300, 1101), (1500, 1240), 255, -1)
+    cv2.rectangle(mask, (300, 500), (420, 1240), 255, -1)
+    return vessel_map("branches", mask)
 
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -60,6 +70,32 @@ def test_the_hold_point_stays_near_the_vessel(channel: VesselMap) -> None:
     target = allowed_target(StagePoint(10_000.0, 1000.0, 13_200.0), LIMITS, CALIBRATION, channel)
     held = CALIBRATION.held_point(target)
     assert -channel.wall_distance_px(held.x_px, held.y_px) * 10.0 == pytest.approx(1600.0, abs=30.0)
+
+
+within_travel = st.floats(0.0, 20_000.0)
+
+
+@settings(max_examples=300)
+@given(within_travel, within_travel)
+@example(12_500.0, 9_405.0)
+@example(0.0, 0.0)
+@example(20_000.0, 20_000.0)
+def test_the_hold_point_stays_near_from_everywhere(branches: VesselMap, x_um: float, y_um: float) -> None:
+    """Also from beyond the grid and from midway between two branches, where distance has no gradient."""
+    target = allowed_target(StagePoint(x_um, y_um, 13_200.0), LIMITS, CALIBRATION, branches)
+    held = CALIBRATION.held_point(target)
+    edge_x_px, edge_y_px = min(max(held.x_px, 0.0), 1799.0), min(max(held.y_px, 0.0), 1799.0)
+    beyond_px = math.hypot(held.x_px - edge_x_px, held.y_px - edge_y_px)
+    away_um = 10.0 * (beyond_px - branches.wall_distance_px(edge_x_px, edge_y_px))
+    assert away_um <= LIMITS.lead_um + 1.0
+    assert outside_um(target, LIMITS, CALIBRATION, branches) < 1.0
+
+
+def test_how_far_outside_a_point_is(channel: VesselMap) -> None:
+    inside = StagePoint(10_000.0, 9700.0, 13_200.0)
+    assert outside_um(inside, LIMITS, CALIBRATION, channel) == 0.0
+    low = StagePoint(10_000.0, 9700.0, 12_750.0)
+    assert outside_um(low, LIMITS, CALIBRATION, channel) == pytest.approx(100.0)
 
 
 def test_areas_say_how_far_the_wall_is(channel: VesselMap) -> None:

@@ -111,6 +111,22 @@ def test_disarming_while_moving_comes_to_rest_first() -> None:
     assert modes == [Mode.HOLD, Mode.HOLD, Mode.DISARMED]
 
 
+def test_hold_neither_takes_back_a_disarm_nor_hides_why_the_rig_holds() -> None:
+    machine = machine_in(Mode.AUTO)
+    moving = Facts(True, True, False, at_rest=False, arrived=False)
+    machine.settle([Ask.DISARM], moving)
+    reason = machine.reason
+    machine.settle([Ask.HOLD], moving)
+    assert (machine.mode, machine.reason) == (Mode.HOLD, reason)
+    machine.settle([], GOOD)
+    assert machine.mode is Mode.DISARMED
+
+
+def test_the_policy_is_not_asked_to_drive_twice() -> None:
+    with pytest.raises(RefusedError, match="hold first"):
+        machine_in(Mode.AUTO).check(Ask.AUTO, GOOD)
+
+
 def test_arrival_hands_over_and_without_a_hand_holds() -> None:
     machine = machine_in(Mode.AUTO)
     changes = machine.settle(

@@ -16,6 +16,7 @@ from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.lease import Lease
 from mrnav_server.core.limits import Limits
 from mrnav_server.core.modes import Ask, Mode
+from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Track, TrackState
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.loops.autopilot import Autopilot, AutopilotConfig
@@ -37,7 +38,7 @@ class LockStep:
         self.now_s = 100.0
         self.vessel = vessel
         self.planner = planner
-        self.world = SimulatedWorld(SimConfig(), vessel, seed)
+        self.world = SimulatedWorld(SimConfig(), vessel, PictureFormat(), seed)
         self.world.set_time(self.now_s)
         self.manipulator = SimulatedManipulator(self.world)
         asyncio.run(self.manipulator.open())
