@@ -15,7 +15,7 @@ PIP := $(PY) -m pip --disable-pip-version-check install --quiet $(PIP_FLAGS)
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 
-.PHONY: help run demo test check check-static test-slow faults bench clean
+.PHONY: help run demo test check check-static test-slow test-ray faults bench clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1|\2/' | column -t -s '|'
@@ -29,7 +29,7 @@ demo: $(VENV)/.installed ## Let a simulated operator do one semi-autonomous tria
 test: $(VENV)/.installed-test ## Run all checks and all tests but the slow ones
 	@.ci/need 'chromium|chromium-browser|google-chrome' chromium
 	$(MAKE) check
-	$(PY) -m pytest -m "not slow"
+	$(PY) -m pytest
 
 check: $(VENV)/.installed-test check-static ## Format, lint, types, layers, pages
 	$(BIN)/ruff format --check .
@@ -41,7 +41,11 @@ check-static: $(VENV)/.installed-test static/node_modules/.installed
 	@$(with_npm) cd static && npm run --silent check
 
 test-slow: $(VENV)/.installed-test ## Run the tests that take minutes
-	$(PY) -m pytest -m slow --timeout 3600
+	$(PY) -m pytest -m "slow and not ray" --timeout 3600
+
+test-ray: $(VENV)/.installed-test ## Run sweeps on two local Ray nodes
+	$(PIP) --editable '.[ray]'
+	$(PY) -m pytest -m ray --timeout 600
 
 faults: $(VENV)/.installed-test ## Inject faults into real processes, and measure the reactions
 	$(PY) -m pytest tests/faults

@@ -68,6 +68,11 @@ class Sampler:
         self._heading = self.memory_share * self._heading + (1 - self.memory_share) * DIRECTIONS[actions]
         return actions
 
+    @property
+    def heading(self) -> FloatArray:
+        """Running average of the past directions, shape (n, 2); zero at first and while drawing."""
+        return self._heading
+
     def keep(self, agents: BoolArray) -> None:
         """Drop the agents for which the mask, shape (n,), is False."""
         self._heading = self._heading[agents]

@@ -11,10 +11,13 @@ from mrnav_server.cli.bench import bench
 from mrnav_server.cli.demo import demo
 from mrnav_server.cli.doctor import doctor
 from mrnav_server.cli.evaluate import evaluate
+from mrnav_server.cli.figure import curves, discount, trajectories
 from mrnav_server.cli.map import generate
 from mrnav_server.cli.operate import operate
+from mrnav_server.cli.policy import policies
 from mrnav_server.cli.report import report
 from mrnav_server.cli.serve import serve
+from mrnav_server.cli.sweep import sweep
 from mrnav_server.cli.train import train
 from mrnav_server.core.errors import ConfigError, MrnavError
 
@@ -22,11 +25,16 @@ _EXTRAS = {"gymnasium": "train", "matplotlib": "study"}
 """Packages that only some commands need, and the extra that brings them."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
-for command in (serve, demo, operate, doctor, train, evaluate, report, bench):
+for command in (serve, demo, operate, doctor, train, sweep, evaluate, report, bench):
     app.command()(command)
 models = typer.Typer(no_args_is_help=True, help="Vessel models.")
 models.command()(generate)
 app.add_typer(models, name="map")
+app.add_typer(policies, name="policy")
+figures = typer.Typer(no_args_is_help=True, help="The figures of the learning results (simulated).")
+for figure in (curves, trajectories, discount):
+    figures.command()(figure)
+app.add_typer(figures, name="figure")
 
 
 def show_version(wanted: bool) -> None:

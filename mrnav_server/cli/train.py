@@ -1,11 +1,12 @@
 """`mrnav train`: train a policy for a vessel model."""
 
 import json
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+from mrnav_server.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -22,35 +23,59 @@ STAGES = {
 
 def train(
     model: Annotated[str, typer.Argument(help="Vessel model: a name or a folder.")],
-    preset: Annotated[str, typer.Option(help="best, paper+, paper or a2c.")] = "best",
+    preset: Annotated[str, typer.Option(help="best, paper+ or paper.")] = "best",
+    algo: Annotated[
+        Literal["ppo", "a2c"], typer.Option(help="Reinforcement learning by PPO or A2C.")
+    ] = "ppo",
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="Change a hyper-parameter; may be repeated."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Where the policy goes; the model's folder if left out.")
     ] = None,
+    resume: Annotated[
+        Path | None, typer.Option(help="Go on with the interrupted training whose output folder this is.")
+    ] = None,
     pairs: Annotated[int, typer.Option(min=1, help="Random pairs of each evaluation.")] = 500,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Write TensorBoard's files too.")
+    ] = False,
     json_output: Annotated[
         bool, typer.Option("--json", help="Print one JSON object on the last line.")
     ] = False,
 ) -> None:
-    """Train a navigation policy and write policy.pt, manifest.json and card.md."""
+    """Train a navigation policy; write policy.pt, manifest.json, card.md, monitor.csv and checkpoint.pt.
+
+    With --resume, preset, algorithm, seed and settings are those of the interrupted training.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
+    from mrnav_server.training.train import resume as resume_training
     from mrnav_server.training.train import train as run_training
     from mrnav_server.vision.model_store import find_model
 
+    if resume is not None and (assignments or out is not None):
+        raise ConfigError("--resume goes on as it began, in its own folder: leave out --set and --out")
     folder = find_model(model)
     with Progress(console=Console(stderr=True)) as bars:
-        result = run_training(folder, preset, seed, out, _Bars(bars).show, pairs)
+        show = _Bars(bars).show
+        if resume is not None:
+            result = resume_training(folder, resume, show, pairs, tensorboard=tensorboard)
+        else:
+            result = run_training(
+                *(folder, preset, seed, out, show, pairs),
+                algorithm=algo,
+                settings=assignments or (),
+                tensorboard=tensorboard,
+            )
+    typer.echo(result.greedy.summary())
+    typer.echo(result.sampled.summary())
+    typer.echo(f"{result.identity.name} is in {result.folder} ({result.cpu_s:.0f} s of processor time)")
     if json_output:
-        answer = asdict(result)
-        answer["folder"] = str(result.folder)
-        del answer["curve"]
-        typer.echo(json.dumps(answer))
-    else:
-        typer.echo(result.greedy.summary())
-        typer.echo(result.sampled.summary())
-        typer.echo(f"{result.identity.name} is in {result.folder} ({result.cpu_s:.0f} s of processor time)")
+        typer.echo(json.dumps(result.record()))
 
 
 class _Bars:

@@ -6,13 +6,16 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from mrnav_server.autonomy.policy import FORBIDDEN_LOGIT
 from mrnav_server.core.arrays import ByteArray
+from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.navigation import ACTIONS
 from mrnav_server.core.vessel import VesselMap
 
 Encoding = Literal["raw", "fourier"]
+_REACH_PX = int(np.abs(ACTIONS).max())
 
 
 class Features(nn.Module):
@@ -27,36 +30,40 @@ class Features(nn.Module):
         size_px: Side of the vessel's grid in pixels.
     """
 
-    frequencies: Tensor
+    weight: Tensor
+    bias: Tensor
+    limit: Tensor
 
     def __init__(self, encoding: Encoding, size_px: int, octaves: int = 6) -> None:
         super().__init__()
         self.raw: bool = encoding == "raw"
-        self.half_px: float = size_px / 2
+        half_px = size_px / 2
+        self.half_px: float = half_px
         self.width: int = 6 if self.raw else 13 + 8 * octaves
-        self.register_buffer("frequencies", 2.0 ** torch.arange(octaves) * math.pi / size_px)
+        # Everything but direction and length is linear in the observation, or the sine of what is: a few
+        # large operations cost far less than many small ones when one observation is scored.
+        here, there = torch.eye(6)[0:2], torch.eye(6)[4:6]
+        points, way = torch.cat([here, there]), there - here
+        angles = (points[:, None] * (2.0 ** torch.arange(octaves) * math.pi / size_px)[:, None]).flatten(0, 1)
+        rows = [points / half_px, way / half_px, way / 200.0, way / 30.0, angles, angles]
+        offset = [
+            torch.full((4,), -1.0),
+            torch.zeros(6 + len(angles)),
+            torch.full((len(angles),), math.pi / 2),
+        ]
+        self.register_buffer("weight", torch.cat(rows))
+        self.register_buffer("bias", torch.cat(offset))
+        self.register_buffer("limit", torch.tensor([math.inf] * 6 + [1.0] * 4))
 
     def forward(self, observations: Tensor) -> Tensor:
         """Map shape (n, 6) in grid pixels to shape (n, width)."""
         if self.raw:
             return observations / self.half_px - 1.0
-        points = torch.cat([observations[:, 0:2], observations[:, 4:6]], 1)
-        angles = (points.unsqueeze(2) * self.frequencies).flatten(1)
-        way = observations[:, 4:6] - observations[:, 0:2]
-        length = torch.sqrt((way * way).sum(1, keepdim=True) + 1e-3)
-        return torch.cat(
-            [
-                points / self.half_px - 1.0,
-                torch.sin(angles),
-                torch.cos(angles),
-                way / self.half_px,
-                torch.clamp(way / 200.0, -1.0, 1.0),
-                torch.clamp(way / 30.0, -1.0, 1.0),
-                way / length,
-                length / self.half_px,
-            ],
-            1,
-        )
+        linear = functional.linear(observations, self.weight, self.bias)
+        way = linear[:, 4:6]
+        length = torch.linalg.vector_norm(way, dim=1, keepdim=True) + 1e-6
+        scaled = torch.clamp(linear[:, :10], -self.limit, self.limit)
+        return torch.cat([scaled, torch.sin(linear[:, 10:]), way / length, length], 1)
 
 
 class PolicyNetwork(nn.Module):
@@ -72,10 +79,14 @@ class PolicyNetwork(nn.Module):
         hidden: Width of the two hidden layers.
         masked: Whether the wall is inside; without, the policy must learn it.
         margin_px: Gap to the wall that the upper level asks for; keep it under 10.
+
+    Raises:
+        ConfigError: If the grid is too large.
     """
 
-    actions: Tensor
     packed_levels: Tensor
+    cell: Tensor
+    reach: Tensor
 
     def __init__(
         self,
@@ -89,27 +100,36 @@ class PolicyNetwork(nn.Module):
         self.features = Features(encoding, vessel.size_px)
         self.head = _perceptron(self.features.width, hidden, len(ACTIONS), 0.01, tanh=encoding == "raw")
         self.masked: bool = masked
-        self.size_px: int = vessel.size_px
+        self.top_px: float = float(vessel.size_px - 1)
         self.forbidden: float = float(FORBIDDEN_LOGIT)
-        self.register_buffer("actions", torch.tensor(ACTIONS))
-        levels = wall_levels(vessel, margin_px) if masked else np.zeros((1, 4), np.uint8)
-        self.register_buffer("packed_levels", torch.from_numpy(_pack(levels)))
+        levels = np.pad(wall_levels(vessel, margin_px), _REACH_PX) if masked else np.zeros((4, 4), np.uint8)
+        packed = _pack(levels)
+        stride = 4 * packed.shape[1]
+        if levels.size > 2**24:
+            raise ConfigError(
+                f"{vessel.name}: a policy's grid may have 4000 pixels a side, not {vessel.size_px}"
+            )
+        self.register_buffer("packed_levels", torch.from_numpy(packed.ravel()))
+        self.register_buffer("cell", torch.tensor([[1.0, stride]]).repeat(len(ACTIONS), 1))
+        moved = ACTIONS + _REACH_PX
+        self.register_buffer("reach", torch.from_numpy(moved[:, 1] * stride + moved[:, 0]).float())
 
     def allowed(self, observations: Tensor) -> Tensor:
-        """Return the actions of the best level within reach, shape (n, 6) to shape (n, 40), bool."""
-        reached = observations[:, 0:2].round().long().unsqueeze(1) + self.actions
-        inside = ((reached >= 0) & (reached < self.size_px)).all(2)
-        reached = reached.clamp(0, self.size_px - 1)
-        x, y = reached[:, :, 0], reached[:, :, 1]
-        levels = (self.packed_levels[y, x // 4].long() >> (2 * (x % 4))) & 3
-        levels = levels * inside
+        """Return the actions of the best level within reach, shape (n, 6) to shape (n, 40), bool.
+
+        Outside the grid, the nearest pixel of the grid counts.
+        """
+        nearest = torch.clamp(torch.round(observations[:, 0:2]), 0.0, self.top_px)
+        # Whole numbers below 2^24 are exact in float32.
+        reached = functional.linear(nearest, self.cell, self.reach).long()
+        levels = (self.packed_levels[reached >> 2] >> ((reached & 3) << 1)) & 3
         return levels == levels.amax(1, keepdim=True)
 
     def forward(self, observations: Tensor) -> Tensor:
         """Map observations, shape (n, 6), to logits, shape (n, 40)."""
         logits: Tensor = self.head(self.features(observations))
         if self.masked:
-            logits = logits.masked_fill(~self.allowed(observations), self.forbidden)
+            logits = torch.where(self.allowed(observations), logits, self.forbidden)
         return logits
 
 

@@ -12,7 +12,7 @@ class Report:
         stage: ``"plan"``, ``"clone"``, ``"reinforce"`` or ``"evaluate"``.
         done: Share of the stage that is done, 0..1.
         steps: Environment steps so far.
-        success: Share of the episodes that ended lately with an arrival; None before any ended.
+        success: Share of the newest episodes that arrived; None before any ended.
         reward: Mean reward per step lately; None outside reinforcement learning.
         loss: Newest loss.
     """

@@ -13,7 +13,8 @@ from mrnav_server.core.navigation import ACTIONS, ARRIVAL_PX
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.training.batch import BatchEnvironment, draw_pairs, free_points
 from mrnav_server.training.environment import ENVIRONMENT_ID, VesselNavigation
-from mrnav_server.vision.vessel_model import save_vessel_model, vessel_map
+from mrnav_server.vision.model_store import find_model, model_names
+from mrnav_server.vision.vessel_model import load_vessel_model, save_vessel_model, vessel_map
 
 RIGHT = ACTIONS.tolist().index([5, 0])
 
@@ -31,6 +32,15 @@ def test_gymnasium_finds_no_fault() -> None:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         check_env(gym.make(ENVIRONMENT_ID, model="bifurcation").unwrapped)
+    assert [str(warning.message) for warning in said] == []
+
+
+def test_stable_baselines_finds_no_fault() -> None:
+    from stable_baselines3.common.env_checker import check_env as check
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        check(VesselNavigation("bifurcation"))
     assert [str(warning.message) for warning in said] == []
 
 
@@ -103,10 +113,10 @@ def test_drawn_pairs_are_free_and_apart(room: VesselMap) -> None:
         assert room.free[points[:, 1].astype(int), points[:, 0].astype(int)].all()
 
 
-def test_the_batch_equals_the_single_environment_step_for_step(room: VesselMap) -> None:
-    count, steps, limit = 24, 400, 40
-    batch = BatchEnvironment(room, count, seed=3, max_steps=limit)
-    singles = [VesselNavigation(room, max_steps=limit) for _ in range(count)]
+def follow(vessel: VesselMap, count: int, steps: int, limit: int) -> dict[str, int]:
+    """Run the batch and single environments side by side; return how often each case was met."""
+    batch = BatchEnvironment(vessel, count, seed=3, max_steps=limit)
+    singles = [VesselNavigation(vessel, max_steps=limit) for _ in range(count)]
     for i, single in enumerate(singles):
         single.reset(options={"start": batch.start_px[i], "target": batch.target_px[i]})
     random = np.random.default_rng(9)
@@ -114,18 +124,51 @@ def test_the_batch_equals_the_single_environment_step_for_step(room: VesselMap) 
     for _ in range(steps):
         actions = random.integers(len(ACTIONS), size=count)
         outcome = batch.step(actions)
-        after = batch.observations()
-        for i, single in enumerate(singles):
-            observation, reward, terminated, truncated, info = single.step(actions[i])
-            assert observation.tolist() == outcome.final[i].tolist()
-            assert reward == outcome.reward[i]
-            assert (terminated, truncated) == (outcome.terminated[i], outcome.truncated[i])
-            assert info["collision"] == outcome.hit[i]
-            if terminated or truncated:
-                pair = {"start": batch.start_px[i].copy(), "target": batch.target_px[i].copy()}
-                observation, _ = single.reset(options=pair)
-            assert observation.tolist() == after[i].tolist()
+        observations, rewards, terminated, truncated, infos = zip(
+            *(single.step(action) for single, action in zip(singles, actions, strict=True)), strict=True
+        )
+        assert np.array_equal(observations, outcome.final)
+        assert np.array_equal(rewards, outcome.reward)
+        assert np.array_equal(terminated, outcome.terminated)
+        assert np.array_equal(truncated, outcome.truncated)
+        assert [info["collision"] for info in infos] == outcome.hit.tolist()
+        now = np.array(observations)
+        for i in map(int, np.flatnonzero(outcome.terminated | outcome.truncated)):
+            pair = {"start": batch.start_px[i], "target": batch.target_px[i]}
+            now[i], _ = singles[i].reset(options=pair)
+        assert np.array_equal(now, batch.observations())
         seen["terminated"] += int(outcome.terminated.sum())
         seen["truncated"] += int(outcome.truncated.sum())
         seen["hit"] += int(outcome.hit.sum())
+    return seen
+
+
+def test_the_batch_equals_the_single_environment_step_for_step(room: VesselMap) -> None:
+    seen = follow(room, count=24, steps=400, limit=40)
     assert min(seen.values()) > 10, f"the run must meet every case: {seen}"
+
+
+def test_the_batch_equals_the_single_environment_on_every_model_that_ships() -> None:
+    """At least 100,000 random steps in all."""
+    count, total, names = 100, 102_000, model_names()
+    for name in names:
+        steps = -(-total // (count * len(names)))
+        seen = follow(load_vessel_model(find_model(name)), count, steps, limit=150)
+        assert min(seen["truncated"], seen["hit"]) > 10, f"{name}: {seen}"
+
+
+def test_a_batch_goes_on_from_its_state(room: VesselMap) -> None:
+    first, second = (BatchEnvironment(room, 32, seed=seed, max_steps=9) for seed in (1, 2))
+    actions = np.random.default_rng(0).integers(len(ACTIONS), size=(60, 32))
+    for row in actions[:30]:
+        first.step(row)
+    second.restore(first.state())
+    for row in actions[30:]:
+        one, other = first.step(row), second.step(row)
+        assert np.array_equal(one.reward, other.reward)
+        assert np.array_equal(first.observations(), second.observations())
+
+
+def test_a_batch_refuses_an_action_that_there_is_not(room: VesselMap) -> None:
+    with pytest.raises(IndexError):
+        BatchEnvironment(room, 2, seed=0).step(np.array([0, len(ACTIONS)]))
