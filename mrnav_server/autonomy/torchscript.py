@@ -10,6 +10,7 @@ import io
 import json
 import platform
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -108,14 +109,15 @@ def export_policy(
     with _torchscript():
         frozen = torch.jit.freeze(torch.jit.script(module.eval()))
         torch.jit.save(frozen, archive, _extra_files={_IDENTITY_FILE: json.dumps(asdict(identity))})
-    (folder / POLICY_FILE).write_bytes(archive.getvalue())
+    content = _without_source_paths(archive.getvalue())
+    (folder / POLICY_FILE).write_bytes(content)
     golden = _golden_observations(vessel, seed)
     manifest = {
         "format": FORMAT,
         "identity": asdict(identity),
         "inputs": INPUTS,
         "outputs": OUTPUTS,
-        "policy_sha256": hashlib.sha256(archive.getvalue()).hexdigest(),
+        "policy_sha256": hashlib.sha256(content).hexdigest(),
         "golden": {
             "observations": golden.tolist(),
             "logits": np.round(TorchPolicy(frozen, identity).logits(golden).astype(float), 5).tolist(),
@@ -129,6 +131,16 @@ def export_policy(
     }
     (folder / MANIFEST_FILE).write_text(_compact(manifest) + "\n")
     return identity
+
+
+def _without_source_paths(archive: bytes) -> bytes:
+    """Return an archive without the entries that name the files of the machine that made it."""
+    kept = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(archive)) as full, zipfile.ZipFile(kept, "w") as slim:
+        for entry in full.infolist():
+            if not entry.filename.endswith(".debug_pkl"):
+                slim.writestr(entry, full.read(entry))
+    return kept.getvalue()
 
 
 def load_policy(folder: Path, vessel: VesselMap) -> TorchPolicy:
