@@ -71,6 +71,12 @@ def test_a_sound_policy_is_accepted_and_answers(exported: Path) -> None:
     assert torch.get_num_threads() == 1
 
 
+def test_a_policy_names_no_file_of_the_machine_that_made_it(exported: Path) -> None:
+    assert (
+        Path(torchscript.__file__).parents[2].as_posix().encode() not in (exported / "policy.pt").read_bytes()
+    )
+
+
 def test_the_export_answers_as_the_network(tmp_path: Path) -> None:
     network = PolicyNetwork(ROOM, hidden=16)
     torch.nn.init.normal_(network.head[-1].weight)  # type: ignore[arg-type]
