@@ -259,9 +259,7 @@ class ControlLoop:
             at_rest=self.shaper.at_rest or self.machine.mode not in ARMED,
             arrived=self._arrived(),
             fault=fault,
-            arm_refusal=arm_refusal(
-                self._tip, self._limits, self._calibration, self._vessel, recorder_fault
-            ),
+            arm_refusal=arm_refusal(self._tip, self._limits, self._calibration, self._vessel, recorder_fault),
             auto_refusal=self._auto_refusal(fresh, recorder_fault, now_s),
             warning=recorder_fault or track_refusal(self._track, self._seen, self._guards, now_s),
         )
@@ -332,8 +330,11 @@ class ControlLoop:
             return None
         rest = self.shaper.rest_point
         kept = self._allowed(rest)
-        # Whoever waits until the setpoint is at the edge of where it may be can no longer stop there.
-        target = kept if _distance_um(kept, rest) > _EDGE_UM else self._allowed(wish.position)
+        if _distance_um(kept, rest) > _EDGE_UM:
+            # Whoever waits until the setpoint is at the edge can no longer stop there: aim back inside.
+            target = _mirrored(rest, kept)
+        else:
+            target = self._allowed(wish.position)
         if target == wish.position:
             return wish
         self.counters["clamped"] += 1
@@ -391,6 +392,10 @@ class ControlLoop:
 
 def _distance_um(a: StagePoint, b: StagePoint) -> float:
     return math.hypot(a.x_um - b.x_um, a.y_um - b.y_um, a.z_um - b.z_um)
+
+
+def _mirrored(point: StagePoint, at: StagePoint) -> StagePoint:
+    return StagePoint(2 * at.x_um - point.x_um, 2 * at.y_um - point.y_um, 2 * at.z_um - point.z_um)
 
 
 def _towards(target: StagePoint, tip: StagePoint, most_um: float) -> StagePoint:

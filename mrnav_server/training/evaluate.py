@@ -82,7 +82,8 @@ class Evaluation:
             **asdict(self.disturbance),
             "simulated": self.simulated,
         }
-        return {key: None if isinstance(value, float) and isnan(value) else value for key, value in row.items()}
+        unearned = {key for key, value in row.items() if isinstance(value, float) and isnan(value)}
+        return row | dict.fromkeys(unearned)
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,7 +150,9 @@ def _lumen_level(
     spread = [float(plane[field].std()) for plane in flat]
     if max(spread) < 0.004:
         raise ConfigError("photograph: no lumen found, the picture is uniform; use one with more contrast")
-    best = flat[int(np.argmax([_separability(plane[field]) * s for plane, s in zip(flat, spread, strict=True)]))]
+    best = flat[
+        int(np.argmax([_separability(plane[field]) * s for plane, s in zip(flat, spread, strict=True)]))
+    ]
     bright = best > _otsu(best[field])
     if polarity == "auto":
         edge = field & ~cv2.erode(

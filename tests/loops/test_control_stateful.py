@@ -102,6 +102,72 @@ def bring_to(rig: WatchedRig, mode: Mode) -> None:
             rig.advance(0.1)
 
 
+def close_clutch(rig: WatchedRig) -> None:
+    rig.clutch = False
+    rig.send_hand()
+    rig.clutch = True
+    rig.send_hand()
+
+
+def silence_hand(rig: WatchedRig) -> None:
+    rig.hand_alive = False
+    rig.advance(0.12)
+
+
+def break_manipulator(rig: WatchedRig) -> None:
+    rig.manipulator.fail()
+    rig.advance(0.01)
+
+
+def stop_camera(rig: WatchedRig) -> None:
+    rig.camera_alive = False
+    rig.advance(0.15)
+
+
+def arm_without_hand(rig: WatchedRig) -> None:
+    silence_hand(rig)
+    granted(rig, Ask.ARM)
+
+
+def begin_and_disarm(rig: WatchedRig) -> None:
+    bring_to(rig, Mode.HOLD)
+    rig.advance(0.5)
+    granted(rig, Ask.AUTO)
+    granted(rig, Ask.DISARM)
+
+
+def come_to_rest_and_disarm(rig: WatchedRig) -> None:
+    rig.advance(0.5)
+    granted(rig, Ask.DISARM)
+
+
+def asks(ask: Ask) -> Callable[[WatchedRig], None]:
+    def act(rig: WatchedRig) -> None:
+        granted(rig, ask)
+
+    return act
+
+
+CAUSES: dict[tuple[Mode, Mode], Callable[[WatchedRig], None]] = {
+    (Mode.DISARMED, Mode.MANUAL): asks(Ask.ARM),
+    (Mode.DISARMED, Mode.HOLD): arm_without_hand,
+    (Mode.MANUAL, Mode.DISARMED): come_to_rest_and_disarm,
+    (Mode.MANUAL, Mode.AUTO): asks(Ask.AUTO),
+    (Mode.MANUAL, Mode.HOLD): silence_hand,
+    (Mode.AUTO, Mode.DISARMED): begin_and_disarm,
+    (Mode.AUTO, Mode.MANUAL): close_clutch,
+    (Mode.AUTO, Mode.HOLD): stop_camera,
+    (Mode.HOLD, Mode.DISARMED): come_to_rest_and_disarm,
+    (Mode.HOLD, Mode.MANUAL): close_clutch,
+    (Mode.HOLD, Mode.AUTO): asks(Ask.AUTO),
+    (Mode.FAULT, Mode.DISARMED): asks(Ask.RESET),
+    (Mode.STOP, Mode.DISARMED): asks(Ask.RESET),
+    **{(mode, Mode.STOP): asks(Ask.STOP) for mode in Mode if mode is not Mode.STOP},
+    **{(mode, Mode.FAULT): break_manipulator for mode in ARMED | {Mode.DISARMED}},
+}
+"""What leads from one mode to another; the adversary uses it as a guide, in whatever state the rig is."""
+
+
 class ManyHands(RuleBasedStateMachine):
     """Operators, consoles, devices and the needle do what they like."""
 
@@ -123,9 +189,11 @@ class ManyHands(RuleBasedStateMachine):
     def put_to_work(self, mode: Mode) -> None:
         bring_to(self.rig, mode)
 
-    @rule()
-    def somebody_stops(self) -> None:
-        self.rig.ask(Ask.STOP)
+    @rule(after=st.sampled_from(Mode))
+    def a_cause_of_another_mode(self, after: Mode) -> None:
+        cause = CAUSES.get((self.rig.control.machine.mode, after))
+        if cause is not None:
+            cause(self.rig)
 
     @rule(ask=st.sampled_from([*Ask, Ask.AUTO, Ask.AUTO]))
     def someone_asks(self, ask: Ask) -> None:
@@ -317,71 +385,6 @@ def test_no_sequence_of_events_breaks_an_invariant(bifurcation: VesselMap, plann
 def test_no_long_sequence_of_events_breaks_an_invariant(bifurcation: VesselMap, planner: PathPlanner) -> None:
     walk(bifurcation, planner, examples=400, steps=50)
     assert ManyHands.seen == TRANSITIONS
-
-
-def close_clutch(rig: WatchedRig) -> None:
-    rig.clutch = False
-    rig.send_hand()
-    rig.clutch = True
-    rig.send_hand()
-
-
-def silence_hand(rig: WatchedRig) -> None:
-    rig.hand_alive = False
-    rig.advance(0.12)
-
-
-def break_manipulator(rig: WatchedRig) -> None:
-    rig.manipulator.fail()
-    rig.advance(0.01)
-
-
-def stop_camera(rig: WatchedRig) -> None:
-    rig.camera_alive = False
-    rig.advance(0.15)
-
-
-def arm_without_hand(rig: WatchedRig) -> None:
-    silence_hand(rig)
-    rig.ask(Ask.ARM)
-
-
-def begin_and_disarm(rig: WatchedRig) -> None:
-    bring_to(rig, Mode.HOLD)
-    rig.advance(0.5)
-    assert granted(rig, Ask.AUTO)
-    rig.ask(Ask.DISARM)
-
-
-def come_to_rest_and_disarm(rig: WatchedRig) -> None:
-    rig.advance(0.5)
-    rig.ask(Ask.DISARM)
-
-
-def asks(ask: Ask) -> Callable[[WatchedRig], None]:
-    def act(rig: WatchedRig) -> None:
-        assert granted(rig, ask)
-
-    return act
-
-
-CAUSES: dict[tuple[Mode, Mode], Callable[[WatchedRig], None]] = {
-    (Mode.DISARMED, Mode.MANUAL): asks(Ask.ARM),
-    (Mode.DISARMED, Mode.HOLD): arm_without_hand,
-    (Mode.MANUAL, Mode.DISARMED): come_to_rest_and_disarm,
-    (Mode.MANUAL, Mode.AUTO): asks(Ask.AUTO),
-    (Mode.MANUAL, Mode.HOLD): silence_hand,
-    (Mode.AUTO, Mode.DISARMED): begin_and_disarm,
-    (Mode.AUTO, Mode.MANUAL): close_clutch,
-    (Mode.AUTO, Mode.HOLD): stop_camera,
-    (Mode.HOLD, Mode.DISARMED): come_to_rest_and_disarm,
-    (Mode.HOLD, Mode.MANUAL): close_clutch,
-    (Mode.HOLD, Mode.AUTO): asks(Ask.AUTO),
-    (Mode.FAULT, Mode.DISARMED): asks(Ask.RESET),
-    (Mode.STOP, Mode.DISARMED): asks(Ask.RESET),
-    **{(mode, Mode.STOP): asks(Ask.STOP) for mode in Mode if mode is not Mode.STOP},
-    **{(mode, Mode.FAULT): break_manipulator for mode in ARMED | {Mode.DISARMED}},
-}
 
 
 def test_the_causes_are_those_of_the_table() -> None:
