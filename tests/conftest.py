@@ -61,3 +61,9 @@ def _guarded(request: pytest.FixtureRequest) -> None:
     inner = getattr(getattr(function, "hypothesis", None), "inner_test", function)
     if inspect.iscoroutinefunction(inner):
         request.getfixturevalue("_loop_guard")
+
+
+@pytest.fixture(autouse=True)
+def _ordinary_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep commands that run inside the test process from preferring it over other programs for good."""
+    monkeypatch.setattr("mrnav_server.loops.priority._set_priority", lambda *_: False)

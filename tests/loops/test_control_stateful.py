@@ -377,7 +377,7 @@ def walk(vessel: VesselMap, planner: PathPlanner, examples: int, steps: int) -> 
 
 
 def test_no_sequence_of_events_breaks_an_invariant(bifurcation: VesselMap, planner: PathPlanner) -> None:
-    walk(bifurcation, planner, examples=25, steps=30)
+    walk(bifurcation, planner, examples=50, steps=30)
 
 
 @pytest.mark.slow
