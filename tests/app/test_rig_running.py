@@ -13,6 +13,7 @@ import pytest
 from mrnav_server.app.rig import Rig
 from mrnav_server.core.errors import DeviceError
 from mrnav_server.core.modes import Mode
+from mrnav_server.core.records import RigState
 from mrnav_server.settings import RecordingConfig, ServerConfig, Settings
 
 TOKEN = "operator-token-for-tests"
@@ -94,6 +95,12 @@ async def test_two_hands_and_only_the_first_moves_the_rig(rig: Rig) -> None:
         second.close()
 
 
+def shown(rig: Rig) -> RigState:
+    state = rig.states.value
+    assert state is not None
+    return state
+
+
 @pytest.mark.parametrize("bad", ["NaN", "Infinity", "-Infinity", "1e999"])
 async def test_numbers_that_are_not_finite_move_nothing_and_end_in_hold(rig: Rig, bad: str) -> None:
     async with running(rig):
@@ -110,10 +117,8 @@ async def test_numbers_that_are_not_finite_move_nothing_and_end_in_hold(rig: Rig
             )
             hand.send(clutch=True)
             await asyncio.sleep(1 / 60)
-        state = rig.states.value
-        assert state is not None
-        assert state.counters["non_finite"] == 4
-        assert state.mode is Mode.HOLD
+        await until(rig, lambda: shown(rig).counters["non_finite"] == 4 and shown(rig).mode is Mode.HOLD)
+        state = shown(rig)
         assert state.tip is not None
         assert all(map(math.isfinite, state.tip.array()))
         hand.close()
