@@ -83,23 +83,23 @@ async def policies(parts: Context) -> list[dict[str, Any]]:
 async def mode(parts: Context, body: ModeBody, principal: Viewer) -> dict[str, Any]:
     """Ask for a mode; 409 with the reason if it is refused. Anyone may stop."""
     if body.ask == "stop":
-        parts.rig.stop_now(principal.session)
+        parts.rig.console.stop_now(principal.session)
     else:
-        await parts.rig.ask(body.ask, operator(principal).session, body.area)
+        await parts.rig.console.ask(body.ask, operator(principal).session, body.area)
     return {"ok": True, "code": "ok", "message": ""}
 
 
 @api.post("/lease", tags=["control"])
 async def take_lease(parts: Context, body: LeaseBody, principal: Operator) -> dict[str, str]:
     """Take control; 409 while another has it."""
-    parts.rig.take_lease(principal.session, body.client)
+    parts.rig.console.take_lease(principal.session, body.client)
     return {"session": principal.session}
 
 
 @api.delete("/lease", status_code=204, tags=["control"])
 async def give_lease(parts: Context, principal: Operator) -> None:
     """Give control back."""
-    parts.rig.give_lease(principal.session)
+    parts.rig.console.give_lease(principal.session)
 
 
 @streams.get("/frame.jpg")

@@ -14,7 +14,9 @@ from typing import Any
 
 from mrnav_server.app.auth import Tokens
 from mrnav_server.app.bench import build_bench
+from mrnav_server.app.console_desk import ConsoleDesk
 from mrnav_server.app.hand_seat import HandSeat
+from mrnav_server.app.herald import Herald
 from mrnav_server.app.navigator import Navigator
 from mrnav_server.app.telemetry import Telemetry
 from mrnav_server.app.trial_desk import TrialDesk
@@ -60,11 +62,15 @@ class Rig:
 
     def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
         self.settings = settings
+        self._clock = clock
+        root = Path(settings.recording.root).absolute()
+        self._recorder = Recorder(root, clock, settings.recording)
+        self.events = EventBus()
+        self.herald = Herald(self.events, self._recorder, clock)
         self.vessel = load_vessel_model(find_model(settings.rig.vessel))
         self.bench = build_bench(settings, self.vessel, clock)
         self.states: Latest[RigState] = Latest()
         self.frames: Latest[Frame] = Latest()
-        self.events = EventBus()
         self.areas = CriticalAreas(self.vessel, self._on_areas)
         self.lease = Lease()
         self.hand = HandControl(settings.hand, settings.limits.speed_um_per_s)
@@ -82,13 +88,10 @@ class Rig:
             self._on_command,
             self._on_change,
         )
-        self.marks = TrialMarks(settings.trial, self.vessel, self._announce)
+        self.marks = TrialMarks(settings.trial, self.vessel, self.herald.announce)
         self.telemetry = Telemetry(
             self.control, self.navigator.autopilot, self.hand, self.lease, self.marks, self.calibration
         )
-        self._clock = clock
-        root = Path(settings.recording.root).absolute()
-        self._recorder = Recorder(root, clock, settings.recording)
         self.trials = TrialDesk(
             settings,
             root,
@@ -99,7 +102,18 @@ class Rig:
             self.navigator,
             self.marks,
             self.telemetry,
-            self._announce,
+            self.herald.announce,
+        )
+        self.console = ConsoleDesk(
+            self.control,
+            self.lease,
+            self.areas,
+            self.navigator,
+            self.bench.manipulator,
+            self.herald,
+            step=lambda: self._step(self._clock()),
+            publish=self._publish,
+            clock=clock,
         )
         seat = HandSeat(
             self.lease,
@@ -107,8 +121,8 @@ class Rig:
             step=lambda received_s: self._step(self._clock(), received_s),
             hold=self._hold,
             on_message=self._on_message,
-            announce=self._announce,
-            record=self._log,
+            announce=self.herald.announce,
+            record=self.herald.record,
             clock=clock,
         )
         self.control.recorder_fault = lambda: self._recorder.fault or ""
@@ -187,54 +201,6 @@ class Rig:
             return VesselPoint(*self.calibration.stage_from_vessel.inverse()(x, y))
         return VesselPoint(x, y)
 
-    # -- what clients ask ------------------------------------------------------------------------------
-
-    async def ask(self, name: str, session: str, area: str | None) -> None:
-        """Ask for a mode.
-
-        Raises:
-            RefusedError: With the reason.
-        """
-        ask = Ask(name)
-        if ask is Ask.STOP:
-            self.stop_now(session)
-            return
-        now_s = self._clock()
-        self.lease.hear(session, now_s)
-        if ask is not Ask.HOLD:
-            self._require_lease(session)
-        if ask is Ask.AUTO:
-            await self._prepare_auto(session, area)
-        self.control.submit(ask, self._clock())
-        self._publish()
-
-    def stop_now(self, session: str) -> None:
-        """Stop the manipulator at once; anyone may, and nothing is waited for."""
-        self.bench.manipulator.stop()
-        self._log("event", {"event": "stop", "session": session})
-        self.control.submit(Ask.STOP, self._clock())
-        self._publish()
-
-    def take_lease(self, session: str, client: str) -> None:
-        """Sit down at the console.
-
-        Raises:
-            RefusedError: While another console has it.
-        """
-        self.lease.take_console(session, client, self._clock())
-        self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
-
-    def give_lease(self, session: str) -> None:
-        """Give control back; the rig holds before anybody else may take it."""
-        self.lease.give_back(session)
-        if self.control.machine.mode in ARMED:
-            self._step(self._clock())
-        self._announce("lease", {"epoch": self.lease.epoch, "client": self.lease.state().client})
-
-    def heartbeat(self, session: str) -> None:
-        """Note that a page is alive and watched."""
-        self.lease.hear(session, self._clock())
-
     # -- running ---------------------------------------------------------------------------------------
 
     async def run(self, started: asyncio.Event) -> None:
@@ -277,7 +243,7 @@ class Rig:
         finally:
             self._running = False
             manipulator.stop()
-            self._announce("rig_stopped", {"mode": self.control.machine.mode.value})
+            self.herald.announce("rig_stopped", {"mode": self.control.machine.mode.value})
             async with asyncio.timeout(_CLOSE_S):
                 await asyncio.shield(manipulator.close())
                 await asyncio.shield(self._recorder.end_trial())
@@ -333,21 +299,21 @@ class Rig:
 
     def _on_command(self, topic: str, data: Mapping[str, object]) -> None:
         self.marks.on_motion(self._clock())
-        self._log(topic, data)
+        self.herald.record(topic, data)
 
     def _on_change(self, change: Transition) -> None:
         """Announce a change of mode, and what it means."""
         before, after = change.before, change.after
         fields = {"before": before.value, "mode": after.value, "reason": change.reason}
-        self._announce("mode", fields)
+        self.herald.announce("mode", fields)
         if before not in ARMED and after in ARMED and self._recorder.trial is None:
             self.marks.restart()
         if before is Mode.AUTO and after is Mode.MANUAL:
             facts = self.control.facts
             by = "arrival" if facts.arrived and not facts.clutch_closing else "takeover"
-            self._announce("handover", {"by": by, "distance_um": self.control.distance_um})
+            self.herald.announce("handover", {"by": by, "distance_um": self.control.distance_um})
         if after is Mode.FAULT:
-            self._announce("fault", {"reason": change.reason})
+            self.herald.announce("fault", {"reason": change.reason})
         if before is Mode.AUTO and self.control.area not in self.areas.list():
             # The goal was removed or changed under way.
             self._on_areas()
@@ -363,7 +329,7 @@ class Rig:
         self.telemetry.camera.add(self._clock())
         self.marks.on_track(track, self.control.machine.mode, self.control.distance_um)
         vessel = track.vessel
-        self._log(
+        self.herald.record(
             "track",
             {
                 "taken_s": track.taken_s,
@@ -384,45 +350,17 @@ class Rig:
             self.control.choose_area(kept or next(iter(areas.values()), None))
         active = self.control.area
         fields = [wire_twin.area_fields(area, active.id if active else None) for area in areas.values()]
-        self._announce("areas", {"critical_areas": fields})
+        self.herald.announce("areas", {"critical_areas": fields})
 
     def _on_camera(self, fault: str) -> None:
         self._camera_fault = fault
-        self._announce("fault", {"reason": fault or "the camera works again"})
+        self.herald.announce("fault", {"reason": fault or "the camera works again"})
 
     def _authorize(self, token: str) -> str | None:
         role = self._tokens.role(token)
         return None if role is None else role.name.lower()
 
     # -- helpers ---------------------------------------------------------------------------------------
-
-    async def _prepare_auto(self, session: str, area_id: str | None) -> None:
-        """Choose the area and plan the way there, before AUTO is entered.
-
-        Raises:
-            RefusedError: If a guard of AUTO fails, or somebody acted meanwhile: whoever did wins.
-        """
-        if area_id is not None:
-            self.control.choose_area(self.areas.get(area_id))
-        self.control.check(Ask.AUTO, self._clock())
-        area, robot = self.control.area, self.control.robot
-        if area is None or robot is None:
-            raise RuntimeError("the guards of AUTO let a task without a start or a goal pass")
-        generation = self.control.generation
-        path = await self.navigator.plan(robot, area.center)
-        if self.control.generation != generation:
-            raise RefusedError("overtaken", "the rig was used while the path was planned: ask again")
-        self._require_lease(session)
-        self.control.check(Ask.AUTO, self._clock())
-        self.navigator.autopilot.prepare(path, area.center)
-        if path.fallback:
-            self._announce("fault", {"reason": f"the geodesic stands in: {path.fallback}"})
-
-    def _require_lease(self, session: str) -> None:
-        if not self.lease.holds(session):
-            holder = self.lease.state().client
-            who = f"{holder} has control" if holder else "nobody has control"
-            raise RefusedError("no_lease", f"{who}: take the lease first")
 
     def _counters(self) -> dict[str, int]:
         counters = Counter(self.control.counters)
@@ -434,12 +372,3 @@ class Rig:
         self.states.put(state)
         self._twin = wire_twin.twin_state(state, self.calibration)
         self.telemetry.on_published(state.track, self._clock())
-
-    def _announce(self, name: str, fields: Mapping[str, object]) -> None:
-        """Tell everybody what happened, and record it."""
-        self.events.publish(wire_twin.event(name, self._clock(), fields))
-        topic = name if name in ("mode", "trial") else "event"
-        self._log(topic, {"event": name, **fields})
-
-    def _log(self, topic: str, data: Mapping[str, object]) -> None:
-        self._recorder.record(topic, data)

@@ -46,8 +46,27 @@ class Trials(Protocol):
         """End a trial and return its result."""
 
 
+class Console(Protocol):
+    """What consoles ask for; refusals are RefusedErrors with the reason."""
+
+    async def ask(self, name: str, session: str, area: str | None) -> None:
+        """Ask for a mode."""
+
+    def stop_now(self, session: str) -> None:
+        """Stop the manipulator. Waits behind nothing."""
+
+    def take_lease(self, session: str, client: str) -> None:
+        """Take control."""
+
+    def give_lease(self, session: str) -> None:
+        """Give control back."""
+
+    def heartbeat(self, session: str) -> None:
+        """Note that a page is alive and watched."""
+
+
 class RigPort(Protocol):
-    """A rig as the server sees it. Asks raise RefusedError with the reason."""
+    """A rig as the server sees it."""
 
     @property
     def settings(self) -> Settings:
@@ -78,6 +97,10 @@ class RigPort(Protocol):
         """The critical areas."""
 
     @property
+    def console(self) -> Console:
+        """Modes, control and STOP."""
+
+    @property
     def trials(self) -> Trials:
         """The trials."""
 
@@ -90,21 +113,6 @@ class RigPort(Protocol):
 
     def to_vessel(self, frame: str, x: float, y: float) -> VesselPoint:
         """Map a point of the vessel, image or stage frame into the vessel's grid."""
-
-    async def ask(self, name: str, session: str, area: str | None) -> None:
-        """Ask for a mode."""
-
-    def stop_now(self, session: str) -> None:
-        """Stop the manipulator. Waits behind nothing."""
-
-    def take_lease(self, session: str, client: str) -> None:
-        """Take control."""
-
-    def give_lease(self, session: str) -> None:
-        """Give control back."""
-
-    def heartbeat(self, session: str) -> None:
-        """Note that a page is alive and watched."""
 
     def policies(self) -> list[dict[str, Any]]:
         """Describe the policies and whether they were verified."""

@@ -132,7 +132,7 @@ class _Client:
         while True:
             ask = await self._asks.get()
             try:
-                await self._rig.ask(ask.ask, self._session, ask.area)
+                await self._rig.console.ask(ask.ask, self._session, ask.area)
             except RefusedError as error:
                 await self._answer(error.code, str(error))
             else:
@@ -141,12 +141,12 @@ class _Client:
     async def _take(self, message: Heartbeat | AskMessage) -> None:
         """Do at once what is urgent, check the role, and leave the rest to ``obey``."""
         if isinstance(message, AskMessage) and message.ask == "stop":
-            self._rig.stop_now(self._session)  # anyone may stop
+            self._rig.console.stop_now(self._session)  # anyone may stop
             await self._answer("ok")
         elif self._role < Role.OPERATOR:
             await self._answer("forbidden", OPERATORS_ONLY)
         elif isinstance(message, Heartbeat):
-            self._rig.heartbeat(self._session)
+            self._rig.console.heartbeat(self._session)
         elif self._asks.full():
             await self._answer("busy", f"{self._asks.maxsize} asks wait already: wait for their answers")
         else:

@@ -108,6 +108,10 @@ class FakeRig:
         self.closing: Callable[[], None] | None = None
         self.trials = FakeTrials(self._note)
 
+    @property
+    def console(self) -> "FakeRig":
+        return self
+
     def publish(self, seq: int = 1, **changes: Any) -> None:  # noqa: ANN401 - any field of a state
         self.states.put(replace(STATE, seq=seq, **changes))
 

@@ -28,11 +28,11 @@ async def test_the_first_area_becomes_the_active_one_and_everybody_is_told(rig: 
 
 async def test_asks_need_the_lease_and_stop_does_not(rig: Rig) -> None:
     with pytest.raises(RefusedError, match="nobody has control"):
-        await rig.ask("arm", "page-1", None)
-    rig.take_lease("page-1", "Dashboard")
+        await rig.console.ask("arm", "page-1", None)
+    rig.console.take_lease("page-1", "Dashboard")
     with pytest.raises(RefusedError, match="Dashboard has control"):
-        await rig.ask("arm", "page-2", None)
-    rig.give_lease("page-1")
+        await rig.console.ask("arm", "page-2", None)
+    rig.console.give_lease("page-1")
 
 
 def test_points_of_all_frames_mean_the_same_place(rig: Rig) -> None:

@@ -47,10 +47,10 @@ class Desk:
         await self.rig.bench.manipulator.open()
         self.rig.navigator.autopilot.refusal = ""
         self.rig.navigator.plan = self._plan  # type: ignore[method-assign]
-        self.rig.take_lease("page", "Dashboard")
+        self.rig.console.take_lease("page", "Dashboard")
         assert self.rig._hand_link.acquire("hand", HELLO)
         self.tick()
-        await self.rig.ask("arm", "page", None)
+        await self.rig.console.ask("arm", "page", None)
 
     async def _plan(self, start: VesselPoint, target: VesselPoint) -> PlannedPath:
         self.planning.release()
@@ -102,7 +102,7 @@ async def refusal_of_auto(desk: Desk, meanwhile: Callable[[], object], area: str
 
     async def ask() -> str:
         try:
-            await desk.rig.ask("auto", "page", area)
+            await desk.rig.console.ask("auto", "page", area)
         except RefusedError as refused:
             return refused.code
         return ""
@@ -138,7 +138,7 @@ async def test_hold_and_stop_while_the_path_is_planned_last(desk: Desk, ask: Ask
 
 async def test_hold_asked_in_hold_lasts_too(desk: Desk) -> None:
     await desk.open()
-    await desk.rig.ask("hold", "page", None)
+    await desk.rig.console.ask("hold", "page", None)
     hold = refusal_of_auto(desk, lambda: desk.rig.control.submit(Ask.HOLD, desk.now_s))
     assert await hold == "overtaken"
     assert desk.mode is Mode.HOLD
@@ -155,8 +155,8 @@ async def test_control_that_changes_hands_while_the_path_is_planned_starts_nothi
     await desk.open()
 
     def change() -> None:
-        desk.rig.give_lease("page")
-        desk.rig.take_lease("page-2", "Other")
+        desk.rig.console.give_lease("page")
+        desk.rig.console.take_lease("page-2", "Other")
 
     assert await refusal_of_auto(desk, change) == "no_lease"
     assert desk.mode is Mode.MANUAL
@@ -167,8 +167,8 @@ async def test_the_rig_holds_before_another_console_can_take_over(desk: Desk) ->
     desk.rig._hand_link.on_closed("hand")
     assert desk.mode is Mode.HOLD
     assert await refusal_of_auto(desk, desk.see) == ""
-    desk.rig.give_lease("page")
-    desk.rig.take_lease("page-2", "Other")
+    desk.rig.console.give_lease("page")
+    desk.rig.console.take_lease("page-2", "Other")
     assert desk.mode is Mode.HOLD
 
 
@@ -178,7 +178,7 @@ async def test_of_two_asks_for_auto_one_is_granted_with_its_own_goal(desk: Desk)
 
     async def ask(area: str) -> None:
         try:
-            await desk.rig.ask("auto", "page", area)
+            await desk.rig.console.ask("auto", "page", area)
         except RefusedError as refused:
             codes.append(refused.code)
         else:
@@ -204,7 +204,7 @@ async def test_a_goal_that_was_removed_under_way_is_dropped_at_the_end(desk: Des
     assert goal is not None
     desk.rig.areas.remove(goal.id)
     assert desk.rig.control.area == goal
-    await desk.rig.ask("hold", "page", None)
+    await desk.rig.console.ask("hold", "page", None)
     assert desk.rig.control.area == desk.rig.areas.list()[0]
 
 
@@ -212,7 +212,7 @@ async def test_a_console_that_ends_autonomy_is_not_recorded_as_an_arrival(desk: 
     await desk.open()
     await refusal_of_auto(desk, desk.tick)
     with desk.rig.events.subscribe() as events:
-        await desk.rig.ask("manual", "page", None)
+        await desk.rig.console.ask("manual", "page", None)
         told: list[dict[str, Any]] = [await events.get(), await events.get()]
     assert [event.get("by") for event in told if event["event"] == "handover"] == ["takeover"]
 

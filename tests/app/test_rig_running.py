@@ -78,7 +78,7 @@ async def test_two_hands_and_only_the_first_moves_the_rig(rig: Rig) -> None:
         assert (first.welcome["lease"], second.welcome["lease"]) == (True, False)
         first.send(clutch=False)
         await until(rig, lambda: rig.control.facts.hand_fresh)
-        await rig.ask("arm", first.welcome["session"], None)
+        await rig.console.ask("arm", first.welcome["session"], None)
         commands = rig.control.counters["commands"]
         for step in range(20):
             second.send(clutch=True, x_m=0.002 * step)
@@ -109,7 +109,7 @@ async def test_numbers_that_are_not_finite_move_nothing_and_end_in_hold(rig: Rig
         await until(
             rig, lambda: rig.hand.fresh(asyncio.get_running_loop().time()) and rig.control.tip is not None
         )
-        await rig.ask("arm", hand.welcome["session"], None)
+        await rig.console.ask("arm", hand.welcome["session"], None)
         hand.send(clutch=True)
         for _ in range(4):
             hand.raw(

@@ -1,0 +1,126 @@
+"""What consoles ask for: modes, control, and STOP."""
+
+from collections.abc import Callable
+
+from mrnav_server.app.herald import Herald
+from mrnav_server.app.navigator import Navigator
+from mrnav_server.core.areas import CriticalAreas
+from mrnav_server.core.errors import RefusedError
+from mrnav_server.core.lease import Lease
+from mrnav_server.core.modes import ARMED, Ask
+from mrnav_server.devices.base import Manipulator
+from mrnav_server.loops.control import ControlLoop
+
+
+class ConsoleDesk:
+    """Answers consoles. Refusals are RefusedErrors with the reason.
+
+    Args:
+        control: Grants or refuses modes.
+        lease: Who controls the rig.
+        areas: Where AUTO may be asked to go.
+        navigator: Plans the way there.
+        manipulator: Stopped at once when anybody asks for it.
+        herald: Told of leases and stops.
+        step: Steps the control loop now.
+        publish: Shows clients the new state at once.
+        clock: Monotonic time in seconds.
+    """
+
+    def __init__(
+        self,
+        control: ControlLoop,
+        lease: Lease,
+        areas: CriticalAreas,
+        navigator: Navigator,
+        manipulator: Manipulator,
+        herald: Herald,
+        step: Callable[[], None],
+        publish: Callable[[], None],
+        clock: Callable[[], float],
+    ) -> None:
+        self._control = control
+        self._lease = lease
+        self._areas = areas
+        self._navigator = navigator
+        self._manipulator = manipulator
+        self._herald = herald
+        self._step = step
+        self._publish = publish
+        self._clock = clock
+
+    async def ask(self, name: str, session: str, area: str | None) -> None:
+        """Ask for a mode.
+
+        Raises:
+            RefusedError: With the reason.
+        """
+        ask = Ask(name)
+        if ask is Ask.STOP:
+            self.stop_now(session)
+            return
+        self._lease.hear(session, self._clock())
+        if ask is not Ask.HOLD:
+            self._require_lease(session)
+        if ask is Ask.AUTO:
+            await self._prepare_auto(session, area)
+        self._control.submit(ask, self._clock())
+        self._publish()
+
+    def stop_now(self, session: str) -> None:
+        """Stop the manipulator at once; anyone may, and nothing is waited for."""
+        self._manipulator.stop()
+        self._herald.record("event", {"event": "stop", "session": session})
+        self._control.submit(Ask.STOP, self._clock())
+        self._publish()
+
+    def take_lease(self, session: str, client: str) -> None:
+        """Sit down at the console.
+
+        Raises:
+            RefusedError: While another console has it.
+        """
+        self._lease.take_console(session, client, self._clock())
+        self._announce_lease()
+
+    def give_lease(self, session: str) -> None:
+        """Give control back; the rig holds before anybody else may take it."""
+        self._lease.give_back(session)
+        if self._control.machine.mode in ARMED:
+            self._step()
+        self._announce_lease()
+
+    def heartbeat(self, session: str) -> None:
+        """Note that a page is alive and watched."""
+        self._lease.hear(session, self._clock())
+
+    async def _prepare_auto(self, session: str, area_id: str | None) -> None:
+        """Choose the area and plan the way there, before AUTO is entered.
+
+        Raises:
+            RefusedError: If a guard of AUTO fails, or somebody acted meanwhile: whoever did wins.
+        """
+        if area_id is not None:
+            self._control.choose_area(self._areas.get(area_id))
+        self._control.check(Ask.AUTO, self._clock())
+        area, robot = self._control.area, self._control.robot
+        if area is None or robot is None:
+            raise RuntimeError("the guards of AUTO let a task without a start or a goal pass")
+        generation = self._control.generation
+        path = await self._navigator.plan(robot, area.center)
+        if self._control.generation != generation:
+            raise RefusedError("overtaken", "the rig was used while the path was planned: ask again")
+        self._require_lease(session)
+        self._control.check(Ask.AUTO, self._clock())
+        self._navigator.autopilot.prepare(path, area.center)
+        if path.fallback:
+            self._herald.announce("fault", {"reason": f"the geodesic stands in: {path.fallback}"})
+
+    def _require_lease(self, session: str) -> None:
+        if not self._lease.holds(session):
+            holder = self._lease.state().client
+            who = f"{holder} has control" if holder else "nobody has control"
+            raise RefusedError("no_lease", f"{who}: take the lease first")
+
+    def _announce_lease(self) -> None:
+        self._herald.announce("lease", {"epoch": self._lease.epoch, "client": self._lease.state().client})
