@@ -109,7 +109,7 @@ def export_policy(
     with _torchscript():
         frozen = torch.jit.freeze(torch.jit.script(module.eval()))
         torch.jit.save(frozen, archive, _extra_files={_IDENTITY_FILE: json.dumps(asdict(identity))})
-    content = _without_source_paths(archive.getvalue())
+    content = _slim(archive.getvalue())
     (folder / POLICY_FILE).write_bytes(content)
     golden = _golden_observations(vessel, seed)
     manifest = {
@@ -133,13 +133,13 @@ def export_policy(
     return identity
 
 
-def _without_source_paths(archive: bytes) -> bytes:
-    """Return an archive without the entries that name the files of the machine that made it."""
+def _slim(archive: bytes) -> bytes:
+    """Return an archive compressed and without the entries that name files of the machine that made it."""
     kept = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(archive)) as full, zipfile.ZipFile(kept, "w") as slim:
         for entry in full.infolist():
             if not entry.filename.endswith(".debug_pkl"):
-                slim.writestr(entry, full.read(entry))
+                slim.writestr(entry, full.read(entry), compress_type=zipfile.ZIP_DEFLATED)
     return kept.getvalue()
 
 

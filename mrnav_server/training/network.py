@@ -60,16 +60,17 @@ class Features(nn.Module):
         if self.raw:
             return observations / self.half_px - 1.0
         linear = functional.linear(observations, self.weight, self.bias)
-        way = linear[:, 4:6]
+        scaled, angles = torch.split(linear, [10, self.width - 13], 1)
+        way = torch.narrow(scaled, 1, 4, 2)
         length = torch.linalg.vector_norm(way, dim=1, keepdim=True) + 1e-6
-        scaled = torch.clamp(linear[:, :10], -self.limit, self.limit)
-        return torch.cat([scaled, torch.sin(linear[:, 10:]), way / length, length], 1)
+        scaled = torch.clamp(scaled, -self.limit, self.limit)
+        return torch.cat([scaled, torch.sin(angles), way / length, length], 1)
 
 
 class PolicyNetwork(nn.Module):
     """Observation in raw pixels to 40 logits, with the vessel's wall inside.
 
-    The wall is a map of three levels (0 blocked, 1 free, 2 free with a margin), two bits a pixel. Only the
+    The wall is a map of three levels (0 blocked, 1 free, 2 free with a margin), one byte a pixel. Only the
     actions of the best level within reach are allowed; the margin makes the policy forgiving of noise, delay
     and step size.
 
@@ -84,7 +85,7 @@ class PolicyNetwork(nn.Module):
         ConfigError: If the grid is too large.
     """
 
-    packed_levels: Tensor
+    levels: Tensor
     cell: Tensor
     reach: Tensor
 
@@ -103,33 +104,38 @@ class PolicyNetwork(nn.Module):
         self.top_px: float = float(vessel.size_px - 1)
         self.forbidden: float = float(FORBIDDEN_LOGIT)
         levels = np.pad(wall_levels(vessel, margin_px), _REACH_PX) if masked else np.zeros((4, 4), np.uint8)
-        packed = _pack(levels)
-        stride = 4 * packed.shape[1]
+        stride = levels.shape[1]
         if levels.size > 2**24:
             raise ConfigError(
                 f"{vessel.name}: a policy's grid may have 4000 pixels a side, not {vessel.size_px}"
             )
-        self.register_buffer("packed_levels", torch.from_numpy(packed.ravel()))
-        self.register_buffer("cell", torch.tensor([[1.0, stride]]).repeat(len(ACTIONS), 1))
+        self.register_buffer("levels", torch.from_numpy(levels.ravel()))
+        # Start and target weigh nothing: cheaper than cutting the position out of the observation.
+        cell = torch.tensor([1.0, stride, 0.0, 0.0, 0.0, 0.0])
+        self.register_buffer("cell", cell.repeat(len(ACTIONS), 1))
         moved = ACTIONS + _REACH_PX
         self.register_buffer("reach", torch.from_numpy(moved[:, 1] * stride + moved[:, 0]).float())
 
-    def allowed(self, observations: Tensor) -> Tensor:
-        """Return the actions of the best level within reach, shape (n, 6) to shape (n, 40), bool.
+    def forbids(self, observations: Tensor) -> Tensor:
+        """Return the actions below the best level within reach, shape (n, 6) to shape (n, 40), bool.
 
         Outside the grid, the nearest pixel of the grid counts.
         """
-        nearest = torch.clamp(torch.round(observations[:, 0:2]), 0.0, self.top_px)
+        nearest = torch.clamp(torch.round(observations), 0.0, self.top_px)
         # Whole numbers below 2^24 are exact in float32.
         reached = functional.linear(nearest, self.cell, self.reach).long()
-        levels = (self.packed_levels[reached >> 2] >> ((reached & 3) << 1)) & 3
-        return levels == levels.amax(1, keepdim=True)
+        levels = torch.take(self.levels, reached)
+        return levels != levels.amax(1, keepdim=True)
+
+    def allowed(self, observations: Tensor) -> Tensor:
+        """Return the other actions, shape (n, 6) to shape (n, 40), bool."""
+        return ~self.forbids(observations)
 
     def forward(self, observations: Tensor) -> Tensor:
         """Map observations, shape (n, 6), to logits, shape (n, 40)."""
         logits: Tensor = self.head(self.features(observations))
         if self.masked:
-            logits = torch.where(self.allowed(observations), logits, self.forbidden)
+            logits = logits.masked_fill_(self.forbids(observations), self.forbidden)
         return logits
 
 
@@ -153,19 +159,11 @@ def wall_levels(vessel: VesselMap, margin_px: float) -> ByteArray:
     return levels
 
 
-def _pack(levels: ByteArray) -> ByteArray:
-    """Pack two-bit values, shape (h, w), into bytes, shape (h, ceil(w / 4))."""
-    padded = np.pad(levels, ((0, 0), (0, -levels.shape[1] % 4)))
-    quads = padded.reshape(len(padded), -1, 4)
-    packed: ByteArray = (quads << np.array([0, 2, 4, 6], np.uint8)).sum(axis=2).astype(np.uint8)
-    return packed
-
-
 def _perceptron(inputs: int, hidden: int, outputs: int, gain: float, *, tanh: bool) -> nn.Sequential:
     """Return two hidden layers with orthogonal weights and an output layer of the given gain."""
     layers: list[nn.Module] = []
     for width in (inputs, hidden):
-        layers += [_linear(width, hidden, math.sqrt(2)), nn.Tanh() if tanh else nn.ReLU()]
+        layers += [_linear(width, hidden, math.sqrt(2)), nn.Tanh() if tanh else nn.ReLU(inplace=True)]
     return nn.Sequential(*layers, _linear(hidden, outputs, gain))
 
 

@@ -54,6 +54,7 @@ class ModelTrajectories:
             "replans": sum(run.replans for run in self.rig),
             "deviation_mean_um": mean_um,
             "deviation_max_um": largest_um,
+            "deviation_max_um_by_set": [float(run.deviation_um.max()) for run in self.rig],
             "time_s": sum(run.time_s for run in self.rig),
             "simulated": True,
         }

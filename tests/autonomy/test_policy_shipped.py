@@ -26,7 +26,7 @@ def policy(vessel: VesselMap) -> TorchPolicy:
 
 def test_it_is_small_and_verified(vessel: VesselMap) -> None:
     assert verify(FOLDER, vessel).ok
-    assert (FOLDER / "policy.pt").stat().st_size < 1_000_000
+    assert (FOLDER / "policy.pt").stat().st_size < 200_000
 
 
 @pytest.mark.parametrize("mode", ["greedy", "sample"])

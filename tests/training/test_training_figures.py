@@ -171,6 +171,7 @@ def test_a_task_in_the_grid_and_on_the_simulated_rig() -> None:
     assert np.hypot(*(driven.grid_px[0][-1] - (run.target.x_px, run.target.y_px))) < 10
     mean_um, largest_um = driven.deviation_um
     assert 0.0 < mean_um < largest_um < 150.0
+    assert driven.record()["deviation_max_um_by_set"] == [largest_um]
     off_um = 10.0 * distance_to_path_px(run.planned_px, run.driven_px)
     assert np.allclose(off_um, run.deviation_um)
     figure = trajectories_figure([driven])

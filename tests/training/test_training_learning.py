@@ -65,7 +65,7 @@ def test_raw_features_are_scaled_to_one() -> None:
     assert features.tolist() == [[-1, 0, 1, -1, -1, -0.5]]
 
 
-def test_the_packed_wall_allows_the_best_level_within_reach(corner: VesselMap) -> None:
+def test_the_wall_allows_the_best_level_within_reach(corner: VesselMap) -> None:
     network = PolicyNetwork(corner, hidden=8)
     levels = np.pad(wall_levels(corner, 5.0), 10)
     points = np.argwhere(corner.free)[:, ::-1][::61].astype(float)
@@ -76,6 +76,16 @@ def test_the_packed_wall_allows_the_best_level_within_reach(corner: VesselMap) -
     assert (allowed == wanted).all()
     assert (allowed <= free_actions(corner.free, points)).all()
     assert 0 < allowed.mean() < 1
+
+
+def test_between_pixels_the_nearest_counts(corner: VesselMap) -> None:
+    network = PolicyNetwork(corner, hidden=8)
+    points = np.argwhere(corner.free)[:, ::-1][::61].astype(float)
+    between = points + np.random.default_rng(0).uniform(-0.49, 0.49, points.shape)
+    on, off = (
+        network.allowed(torch.from_numpy(observation(each, points, points))) for each in (points, between)
+    )
+    assert torch.equal(on, off)
 
 
 def test_outside_the_grid_is_never_allowed() -> None:
