@@ -19,7 +19,8 @@ class VesselMap:
         um_per_px: Size of a grid pixel in µm.
         robot_radius_px: Radius of the robot's disc in grid pixels.
         digest: sha256 of the mask's pixels; policies are bound to it.
-        free: Where the robot's centre may be: the largest connected part of ``distance > radius``.
+        free: Where the robot's centre may be: the largest connected part of ``distance > radius``, without
+            passages in which it has hardly any play.
         suggested_areas: Suggested critical areas (thrombus sites).
     """
 

@@ -67,8 +67,17 @@ def draw(name: str) -> ByteArray:
     """
     if name not in _BRANCHES:
         raise ConfigError(f"no vessel model {name!r} can be drawn; there are {', '.join(names())}")
+    return paint(_BRANCHES[name])
+
+
+def paint(branches: Sequence[Branch]) -> ByteArray:
+    """Draw vessels along splines.
+
+    Returns:
+        Shape (1800, 1800), uint8, 255 inside the vessels.
+    """
     mask = np.zeros((SIZE_PX, SIZE_PX), np.uint8)
-    for branch in _BRANCHES[name]:
+    for branch in branches:
         for x, y, width in _catmull_rom(np.array(branch, dtype=np.float64)):
             cv2.circle(mask, (round(x), round(y)), round(width / 2), 255, cv2.FILLED)
     return mask

@@ -12,12 +12,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from mrnav_server.core.arrays import ByteArray, Float32Array
+from mrnav_server.core.arrays import BoolArray, ByteArray, Float32Array
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import VesselPoint
 from mrnav_server.core.vessel import VesselMap
 
 ROBOT_RADIUS_UM = 500.0
+PLAY_UM = 50.0
+"""A passage in which the robot has less room to either side is none: noise and steps of finite length would
+make it touch, and the learned policies keep so far from the wall wherever they can."""
 
 
 def vessel_map(
@@ -44,11 +47,12 @@ def vessel_map(
     lumen = (mask > 0).astype(np.uint8)
     distance = _signed_distance_px(lumen)
     radius_px = robot_radius_um / um_per_px
-    fits = (distance > radius_px).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(fits, connectivity=8)
-    if count < 2:
-        raise ConfigError(f"vessel model {name}: a robot of {2 * robot_radius_um:.0f} µm fits nowhere in it")
-    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    free = _free_space(distance, radius_px, PLAY_UM / um_per_px)
+    if not free.any():
+        raise ConfigError(
+            f"vessel model {name}: a robot of {2 * robot_radius_um:.0f} µm fits nowhere in it"
+            f" with {PLAY_UM:.0f} µm to either side"
+        )
     return VesselMap(
         name=name,
         lumen=lumen.astype(bool),
@@ -56,7 +60,7 @@ def vessel_map(
         um_per_px=um_per_px,
         robot_radius_px=radius_px,
         digest=hashlib.sha256(lumen.tobytes()).hexdigest(),
-        free=labels == largest,
+        free=free,
         suggested_areas=suggested_areas,
     )
 
@@ -118,6 +122,24 @@ def read_model_json(folder: Path) -> dict[str, Any]:
     if missing:
         raise ConfigError(f"vessel model {folder.name}: {path} lacks {', '.join(missing)}")
     return description
+
+
+def _free_space(distance_px: Float32Array, radius_px: float, play_px: float) -> BoolArray:
+    """Return where the robot's centre may be: near the largest part where it has play."""
+    roomy = largest_part(distance_px > radius_px + play_px)
+    if not roomy.any():
+        return roomy
+    away_px = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # Corners of the free space lie farther from the roomy part than the play.
+    return largest_part((distance_px > radius_px) & (away_px <= 2 * play_px))
+
+
+def largest_part(marked: BoolArray) -> BoolArray:
+    """Return the largest connected part of what is marked; nothing if nothing is."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(marked.astype(np.uint8), connectivity=8)
+    if count < 2:
+        return np.zeros_like(marked)
+    return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
 
 
 def _signed_distance_px(lumen: ByteArray) -> Float32Array:
