@@ -1,0 +1,1 @@
+"""Sensapex manipulators: the wire protocol, an emulated controller, and two drivers."""
