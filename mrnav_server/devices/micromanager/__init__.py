@@ -1,0 +1,1 @@
+"""Stages and cameras that Micro-Manager can drive, through pymmcore."""
