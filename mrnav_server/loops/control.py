@@ -14,24 +14,27 @@ from mrnav_server.core.frames import Calibration, StagePoint, VesselPoint
 from mrnav_server.core.hand import HandControl
 from mrnav_server.core.lease import Lease
 from mrnav_server.core.limits import Limits, allowed_target
-from mrnav_server.core.modes import ARMED, Ask, Facts, Mode, ModeMachine, Transition
+from mrnav_server.core.modes import ARMED, LATCHED, Ask, Facts, Mode, ModeMachine, Transition
 from mrnav_server.core.records import CriticalArea, TipReading, Track, TrackState
 from mrnav_server.core.shaping import Reference, Shaper
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.devices.base import Manipulator
 from mrnav_server.loops.autopilot import Autopilot
 from mrnav_server.loops.guards import (
-    FollowingError,
     GuardConfig,
     arm_refusal,
     coupling_refusal,
     tip_fault,
     track_refusal,
 )
+from mrnav_server.loops.stopping import Stopping
 from mrnav_server.loops.timing import RollingLatency
+from mrnav_server.loops.tip_watch import TipWatch
 
 Log = Callable[[str, dict[str, Any]], None]
 
+_SETTLE_S = 0.5
+"""A tip that has not come to rest this long after its setpoint counts as noise, or is driven by hand."""
 _EDGE_UM = 10.0
 """The setpoint may come to rest this far outside; what is sent stays inside."""
 
@@ -94,6 +97,14 @@ class ControlLoop:
         """Rises with every ask that is granted, closed clutch, change of mode and change of the goal."""
         self.counters = {"commands": 0, "clamped": 0, "non_finite": 0, "held_back": 0}
         self.recorder_fault: Callable[[], str] = lambda: ""
+        self.supervisor_fault: Callable[[], str] = lambda: ""
+        """Why nobody would stop the manipulator if this process died, or ""."""
+        self.camera_fault: Callable[[], str] = lambda: ""
+        """Why the camera's pictures must not be relied on, or ""."""
+        self.device_warnings: Callable[[], list[str]] = lambda: []
+        """What the manipulator's driver has to say to the operator."""
+        self.beat: Callable[[bool], None] = lambda moves: None
+        """Called at every step, with whether the tip may be in motion."""
         self._config = config
         self._guards = guards
         self._limits = limits
@@ -105,7 +116,8 @@ class ControlLoop:
         self._autopilot = autopilot
         self._log = log
         self._tell_change = on_change
-        self._following = FollowingError(guards)
+        self._watch = TipWatch(guards)
+        self._stopping = Stopping(guards.tip_age_s)
         self._asks: list[Ask] = []
         self._track: Track | None = None
         self._seen: Track | None = None
@@ -113,9 +125,11 @@ class ControlLoop:
         self._area: CriticalArea | None = None
         self._tip_fault = ""
         self._move_fault = ""
+        self._told_fault = ""
         self._supervised_by_hand = False
         self._stepped_s: float | None = None
         self._sample_s: float | None = None
+        self._moved_s = -math.inf
         self._facts = Facts(leased=False, hand_fresh=False, clutch_closing=False, at_rest=True, arrived=False)
 
     @property
@@ -209,12 +223,22 @@ class ControlLoop:
         self._asks.append(ask)
         self.step(now_s)
 
+    def fail(self, reason: str) -> None:
+        """Enter FAULT at the next step, until reset: somebody else stopped the manipulator.
+
+        Args:
+            reason: Who and why, for the operator.
+        """
+        self._told_fault = reason
+
     def step(self, now_s: float) -> None:
         """Read, settle the mode, and move or not.
 
         Args:
             now_s: Now, monotonic.
         """
+        # Before anything else: the answer may be that this step comes too late to move anything.
+        self._beat()
         dt_s = 0.0 if self._stepped_s is None else now_s - self._stepped_s
         self._stepped_s = now_s
         # A hand that comes into view closed takes over from the policy, but wakes nothing that rests.
@@ -227,8 +251,9 @@ class ControlLoop:
             self._on_change(change, now_s)
         mode = self.machine.mode
         if mode not in ARMED or self._tip is None:
-            # FAULT has latched a move that failed; the next arming tries again.
-            self._move_fault = ""
+            # FAULT has latched what failed; the next arming tries again.
+            self._move_fault = self._told_fault = ""
+            self._repeat_stop(now_s)
             return
         if mode is not Mode.AUTO:
             self._autopilot.watch(self._seen, self._tip)
@@ -244,27 +269,48 @@ class ControlLoop:
         if not lease.hand:
             self._hand.lose()
         fresh = self._hand.fresh(now_s)
-        recorder_fault = self.recorder_fault()
-        gap_um = self._gap_um() if self.machine.mode in ARMED else 0.0
-        fault = (
-            self._tip_fault
-            or self._move_fault
-            or (tip_fault(self._tip, self._guards, now_s) if self._tip else "")
-            or self._following.fault(gap_um, now_s)
-        )
+        recorder_fault, supervisor_fault = self.recorder_fault(), self.supervisor_fault()
         return Facts(
             leased=self._lease.held,
             hand_fresh=fresh,
             clutch_closing=closing,
-            at_rest=self.shaper.at_rest or self.machine.mode not in ARMED,
+            at_rest=self._at_rest(now_s),
             arrived=self._arrived(),
-            fault=fault,
-            arm_refusal=arm_refusal(self._tip, self._limits, self._calibration, self._vessel, recorder_fault),
-            auto_refusal=self._auto_refusal(fresh, recorder_fault, now_s),
-            warning=recorder_fault or track_refusal(self._track, self._seen, self._guards, now_s),
+            fault=self._fault(now_s),
+            arm_refusal=(
+                "the manipulator is being stopped: wait until it rests" if self._stopping.pending else ""
+            )
+            or arm_refusal(self._tip, self._limits, self._calibration, self._vessel)
+            or recorder_fault
+            or supervisor_fault,
+            auto_refusal=self._auto_refusal(fresh, now_s) or recorder_fault or supervisor_fault,
+            warning=recorder_fault
+            or supervisor_fault
+            or "; ".join(self.device_warnings())
+            or self.camera_fault()
+            or track_refusal(self._track, self._seen, self._guards, now_s),
         )
 
-    def _auto_refusal(self, hand_fresh: bool, recorder_fault: str, now_s: float) -> str:
+    def _at_rest(self, now_s: float) -> bool:
+        """Tell whether setpoint and tip stand still."""
+        if self.machine.mode not in ARMED:
+            return True
+        if not self.shaper.at_rest:
+            self._moved_s = now_s
+            return False
+        return self._tip is None or not self._tip.moving or now_s - self._moved_s > _SETTLE_S
+
+    def _fault(self, now_s: float) -> str:
+        """Return why the tip must not move at all, or ""."""
+        told = self._told_fault or self._tip_fault or self._move_fault
+        if told or self._tip is None:
+            return told
+        fault = tip_fault(self._tip, self._guards, now_s)
+        if not fault and self.machine.mode in ARMED:
+            fault = self._watch.fault(self._tip)
+        return fault
+
+    def _auto_refusal(self, hand_fresh: bool, now_s: float) -> str:
         """Return the first guard of AUTO that is not satisfied, or ""."""
         if self._supervised_by_hand and not hand_fresh:
             return "nobody supervises: the hand is silent"
@@ -272,11 +318,11 @@ class ControlLoop:
         return (
             ("" if self._lease.held else "nobody controls the rig: take the lease first")
             or ("" if supervised else "nobody supervises: neither hand nor console is heard")
+            or self.camera_fault()
             or track_refusal(self._track, self._seen, self._guards, now_s)
             or coupling_refusal(self.lead_um, self._guards)
             or ("" if self._area else "no critical area is chosen: mark one first")
             or self._autopilot.refusal
-            or recorder_fault
             or (self._gave_up(now_s) if self.machine.mode is Mode.AUTO else "")
         )
 
@@ -306,8 +352,12 @@ class ControlLoop:
             self._autopilot.end()
         if change.after in (Mode.STOP, Mode.FAULT):
             self._manipulator.stop()
+            self._stopping.begin(now_s)
         if change.before not in ARMED and change.after in ARMED and self._tip is not None:
             self.shaper.reset(self._tip.position)
+            self._watch.begin(self._tip)
+            self._stopping.end()
+            self._beat()
         if change.after is not Mode.MANUAL:
             self._hand.release()
         # Whoever began AUTO must stay: a console does not stand in for a hand that was lost on the way.
@@ -361,6 +411,7 @@ class ControlLoop:
         except DeviceError as error:
             self._move_fault = f"manipulator: {error}"
             return
+        self._watch.sent(sent)
         self.counters["commands"] += 1
         if self._sample_s is not None:
             self.hand_to_command.add(sent.sent_s - self._sample_s)
@@ -378,6 +429,15 @@ class ControlLoop:
 
     def _allowed(self, point: StagePoint) -> StagePoint:
         return allowed_target(point, self._limits, self._calibration, self._vessel)
+
+    def _repeat_stop(self, now_s: float) -> None:
+        """Stop again while the tip moves, or nobody knows whether it does."""
+        tip = None if self._tip_fault else self._tip
+        if self._stopping.due(tip, now_s, latched=self.machine.mode in LATCHED):
+            self._manipulator.stop()
+
+    def _beat(self) -> None:
+        self.beat(self.machine.mode in ARMED or self._stopping.pending)
 
     def _read_tip(self) -> None:
         try:

@@ -20,8 +20,14 @@ class GuardConfig:
         console_s: Without a hand, AUTO needs the console's heartbeat within this time.
         lead_um: A hold point further than this from the robot means that the robot was left behind.
         tip_age_s: A position older than this is unknown.
-        following_error_um: The tip may lag behind its setpoint by this much ...
-        following_s: ... for this long.
+        position_min_um: A position below this on any axis means that the manipulator lost its zero.
+        position_max_um: A position above this does too.
+        off_target_um: On each axis the tip lies between the targets of the last moments, to within this; it
+            never rests further than this from its target.
+        off_target_s: How long those last moments are, 0.1 to 0.2 s: what a manipulator may lag behind.
+        following_error_um: The tip may be further than this ...
+        following_lag_s: ... from every target of this time ...
+        following_s: ... for no longer than this.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
@@ -30,31 +36,21 @@ class GuardConfig:
     console_s: float = 0.5
     lead_um: float = 3000.0
     tip_age_s: float = 0.1
+    position_min_um: float = -200.0
+    position_max_um: float = 20_200.0
+    off_target_um: float = 25.0
+    off_target_s: float = 0.16
     following_error_um: float = 200.0
+    following_lag_s: float = 0.06
     following_s: float = 0.2
 
-
-class FollowingError:
-    """How long the tip has been too far behind its setpoint.
-
-    Args:
-        config: Bound and duration.
-    """
-
-    def __init__(self, config: GuardConfig) -> None:
-        self._config = config
-        self._since_s: float | None = None
-
-    def fault(self, gap_um: float, now_s: float) -> str:
-        """Return the fault, or "" while the tip follows."""
-        if gap_um <= self._config.following_error_um:
-            self._since_s = None
-            return ""
-        if self._since_s is None:
-            self._since_s = now_s
-        if now_s - self._since_s < self._config.following_s:
-            return ""
-        return f"the manipulator does not follow: {gap_um:.0f} µm behind its setpoint"
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.off_target_s <= 0.2:
+            raise ValueError("off_target_s must lie between 0.1 and 0.2 s")
+        if not 5.0 <= self.off_target_um <= 200.0:
+            raise ValueError("off_target_um must lie between 5 and 200 µm")
+        if not self.position_min_um < self.position_max_um:
+            raise ValueError("position_min_um must be less than position_max_um")
 
 
 def tip_fault(tip: TipReading, config: GuardConfig, now_s: float) -> str:
@@ -62,13 +58,17 @@ def tip_fault(tip: TipReading, config: GuardConfig, now_s: float) -> str:
     age_s = now_s - tip.taken_s
     if age_s > config.tip_age_s:
         return f"the manipulator is silent: its last position is {1000 * age_s:.0f} ms old"
+    for axis, at_um in zip("XYZ", (tip.position.x_um, tip.position.y_um, tip.position.z_um), strict=True):
+        if not config.position_min_um <= at_um <= config.position_max_um:
+            return (
+                f"the manipulator's zero calibration is lost: it reads {axis} = {at_um:.0f} µm; calibrate it"
+                " on its touch screen"
+            )
     return ""
 
 
-def arm_refusal(
-    tip: TipReading | None, limits: Limits, calibration: Calibration, vessel: VesselMap, recorder_fault: str
-) -> str:
-    """Return why the rig must not be armed, or ""."""
+def arm_refusal(tip: TipReading | None, limits: Limits, calibration: Calibration, vessel: VesselMap) -> str:
+    """Return why the tip must not be set in motion from where it is, or ""."""
     if tip is None:
         return "the manipulator has not reported a position yet"
     if calibration.critical_height_um <= 0:
@@ -84,13 +84,15 @@ def arm_refusal(
     height_um = calibration.height_um(tip.position)
     if height_um < calibration.critical_height_um:
         return f"the magnet is below its critical height ({height_um:.0f} µm): raise it by hand first"
+    if tip.moving:
+        return "the tip still moves: wait until it rests"
     stray_um = outside_um(tip.position, limits, calibration, vessel)
     if stray_um > _ARM_WITHIN_UM:
         return (
             f"the magnet is {stray_um:.0f} µm from where it may move: raise it or bring it over the vessel"
             " by hand first"
         )
-    return recorder_fault
+    return ""
 
 
 def track_refusal(track: Track | None, seen: Track | None, config: GuardConfig, now_s: float) -> str:

@@ -34,7 +34,9 @@ FRAME_S = 1 / 30
 class LockStep:
     """A rig whose clock is a number: ``advance`` is the only thing that moves it."""
 
-    def __init__(self, vessel: VesselMap, planner: PathPlanner, seed: int = 1) -> None:
+    def __init__(
+        self, vessel: VesselMap, planner: PathPlanner, seed: int = 1, limits: Limits | None = None
+    ) -> None:
         self.now_s = 100.0
         self.vessel = vessel
         self.planner = planner
@@ -43,7 +45,7 @@ class LockStep:
         self.manipulator = SimulatedManipulator(self.world)
         asyncio.run(self.manipulator.open())
         self.calibration = self.world.calibration
-        self.limits = Limits()
+        self.limits = limits or Limits()
         self.lease = Lease()
         self.lease.take_hand("hand", "test", self.now_s)
         self.hand = HandControl(HandConfig(), self.limits.speed_um_per_s)

@@ -54,6 +54,7 @@ def repair(rig: WatchedRig) -> None:
     """End every fault and let a fresh open hand sit; the mode stays unless something is wrong with it."""
     rig.manipulator.recover()
     rig.refuses_moves = False
+    rig.stalled, rig.beside_um = set(), (0.0, 0.0, 0.0)
     rig.camera_alive = rig.hand_alive = rig.hand_valid = True
     rig.clutch = False
     rig.advance(0.1)
@@ -174,6 +175,7 @@ class ManyHands(RuleBasedStateMachine):
     vessel: VesselMap
     planner: PathPlanner
     seen: set[tuple[Mode, Mode]]
+    disobedient: int
 
     def __init__(self) -> None:
         super().__init__()
@@ -299,6 +301,25 @@ class ManyHands(RuleBasedStateMachine):
             getattr(self.rig.manipulator, fault)()
         self.rig.advance(span_s)
 
+    @rule(
+        stalled=st.sampled_from([{0}, {1}, {0, 1, 2}, set()]),
+        beside_um=st.sampled_from([(-60.0, 0.0, 0.0), (0.0, 30.0, 0.0), (0.0, 0.0, 0.0)]),
+        step_m=st.sampled_from(HAND_M),
+        ticks=st.integers(5, 60),
+    )
+    @precondition(lambda self: self.rig.control.machine.mode in ARMED)
+    def the_manipulator_disobeys(
+        self, stalled: set[int], beside_um: tuple[float, float, float], step_m: float, ticks: int
+    ) -> None:
+        rig = self.rig
+        if rig.is_in(Mode.MANUAL) and rig.hand_alive and not self.rig.hand.engaged:
+            close_clutch(rig)
+        rig.stalled, rig.beside_um = stalled, beside_um
+        for _ in range(ticks):
+            rig.hand_x_m += step_m
+            rig.hand_z_m += step_m
+            rig.tick()
+
     @rule(ticks=st.integers(10, 100))
     @precondition(lambda self: self.rig.is_in(Mode.AUTO))
     def the_operator_takes_over_and_drives(self, ticks: int) -> None:
@@ -350,6 +371,7 @@ class ManyHands(RuleBasedStateMachine):
     def teardown(self) -> None:
         """DISARMED can be reached from wherever this ended (I9)."""
         self.seen |= self.rig.transitions
+        type(self).disobedient += self.rig.disobedient
         bring_to(self.rig, Mode.DISARMED)
         assert self.rig.is_in(Mode.DISARMED), "I9"
 
@@ -360,6 +382,7 @@ def walk(vessel: VesselMap, planner: PathPlanner, examples: int, steps: int) -> 
     A failing walk prints its steps as they were; add ``Phase.shrink`` to have them made fewer (minutes).
     """
     ManyHands.vessel, ManyHands.planner, ManyHands.seen = vessel, planner, set()
+    ManyHands.disobedient = 0
     run_state_machine_as_test(
         ManyHands,
         settings=settings(
@@ -374,6 +397,7 @@ def walk(vessel: VesselMap, planner: PathPlanner, examples: int, steps: int) -> 
     )
     assert {mode for pair in ManyHands.seen for mode in pair} == set(Mode)
     assert ManyHands.seen <= TRANSITIONS
+    assert ManyHands.disobedient > 0
 
 
 def test_no_sequence_of_events_breaks_an_invariant(bifurcation: VesselMap, planner: PathPlanner) -> None:

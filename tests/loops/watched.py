@@ -24,6 +24,8 @@ ONE_STEP_S = 0.05
 """The shaper takes no longer step, however long the loop stalled."""
 LONGEST_STOP_S = 0.4
 ROUNDING_UM = 1e-3
+AWAY_UM = 26.0
+LONGEST_AWAY_S = 0.3
 STRAY_UM = 60.0
 """The limits may move a command this far from the shaper's setpoint: it overshoots where they bite."""
 
@@ -43,6 +45,10 @@ class WatchedRig(LockStep):
         self.hand_valid = True
         self.hand_session = "hand"
         self.refuses_moves = False
+        self.stalled: set[int] = set()
+        self.beside_um = (0.0, 0.0, 0.0)
+        self.disobedient = 0
+        """How often the tip was found not to do what it was told."""
         self.transitions: set[tuple[Mode, Mode]] = set()
         self.seat = HandSeat(
             self.lease,
@@ -61,7 +67,8 @@ class WatchedRig(LockStep):
         self._new: list[Transition] = []
         self._moves: list[MotionCommand] = []
         self._stops = 0
-        self._last = self.world.tip
+        self._told = self._last = self.world.tip
+        self._away = [(0.0, 0.0, math.nan)] * 3
         self._excess_um = 0.0
         self._checked_s = self.now_s
         self._held_s = math.nan
@@ -147,7 +154,10 @@ class WatchedRig(LockStep):
         def moved(target: StagePoint, speed_um_per_s: float, now_s: float) -> MotionCommand:
             if self.refuses_moves:
                 raise DeviceError("the line is busy")
-            sent = move_to(target, speed_um_per_s, now_s)
+            sent = move_to(self._disobeyed(target), speed_um_per_s, now_s)
+            self._told = target
+            if self._disobedience:
+                sent = MotionCommand(sent.sent_s, target, sent.speed_um_per_s)
             self._moves.append(sent)
             return sent
 
@@ -170,12 +180,13 @@ class WatchedRig(LockStep):
             self._checked_s = now_s
             if any(change.before not in ARMED and change.after in ARMED for change in self._new):
                 at, velocity, acceleration = self._tip_um(), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-                self._last, self._excess_um = at, math.inf
+                self._told, self._last, self._excess_um = at, at, math.inf
             self._check_changes(before, engaged=engaged)
             self._check_facts()
             self._check_shaper(at, velocity, acceleration, dt_s)
             self._check_hold(velocity, acceleration, dt_s)
             self._check_moves(dt_s)
+            self._check_obedience(now_s)
             self._closing = self._deliberate = False
 
         control.step = checked  # type: ignore[method-assign]
@@ -292,6 +303,32 @@ class WatchedRig(LockStep):
             step_um = math.dist(target.array(), self._last.array())
             assert step_um <= 2.0 * top * dt_s + ROUNDING_UM, f"I10: the command jumped by {step_um} µm"
             self._last = target
+
+    def _check_obedience(self, now_s: float) -> None:
+        mode, reason = self.control.machine.mode, self.control.machine.reason
+        if mode is Mode.FAULT and any(word in reason for word in ("does not move", "rests", "told to be")):
+            assert self._new or not self._moves
+            self.disobedient += bool(self._new)
+        for axis, (told_um, at_um) in enumerate(zip(self._told.array(), self._tip_um().array(), strict=True)):
+            # A target that moves is followed with a lag, which may look like a tip that rests beside it.
+            rests_beside = self.beside_um[axis] != 0.0 and told_um == self._away[axis][2]
+            disobeys = axis in self.stalled or rests_beside
+            gap_um = told_um - at_um if disobeys and mode in ARMED else 0.0
+            side = math.copysign(1.0, gap_um) if abs(gap_um) > AWAY_UM else 0.0
+            since_s = self._away[axis][1] if side == self._away[axis][0] else now_s
+            self._away[axis] = (side, since_s, told_um)
+            away_s = now_s - since_s if side else 0.0
+            assert away_s <= LONGEST_AWAY_S, f"H13: {mode} although axis {axis} is away for {away_s} s"
+
+    @property
+    def _disobedience(self) -> bool:
+        return bool(self.stalled) or any(self.beside_um)
+
+    def _disobeyed(self, target: StagePoint) -> StagePoint:
+        """Return where a tip goes of which axes are stuck, or that rests beside its target."""
+        tip = self.world.tip.array()
+        beside = target.array() + self.beside_um
+        return StagePoint(*(float(tip[axis] if axis in self.stalled else beside[axis]) for axis in range(3)))
 
     def _tip_um(self) -> StagePoint:
         tip = self.control.tip
