@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -20,16 +21,28 @@ class FrameTracker(Protocol):
         """Return where the robot is in this frame."""
 
 
+class CameraWatch(Protocol):
+    """Anything that tells from its frames whether a camera is well."""
+
+    def look(self, frame: Frame, now_s: float) -> str:
+        """Return what is wrong with the camera, or ""; told when the frame arrived."""
+
+
 class TrackingLoop:
     """Reads an open camera, tracks, and hands both to the event loop.
 
     A camera that fails is closed and reopened with back-off; meanwhile no track arrives, which holds the rig.
+    A camera that delivers what must not be believed is named too; the tracker rejects those frames, so that
+    the robot's last position ages by capture time, which holds the rig as well.
 
     Args:
         camera: Already open; closed when the loop ends.
         tracker: Finds the robot.
         on_track: Called on the event loop with every frame and its track.
-        on_camera: Called on the event loop with what is wrong with the camera, "" once it works again.
+        on_camera: Called on the event loop with what is wrong with the camera, whenever that changes; ""
+            once it works again.
+        watch: Looks at every frame; None to take them as they come.
+        clock: The clock of the frames' capture times.
     """
 
     def __init__(
@@ -38,11 +51,16 @@ class TrackingLoop:
         tracker: FrameTracker,
         on_track: Callable[[Frame, Track], None],
         on_camera: Callable[[str], None],
+        watch: CameraWatch | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._camera = camera
         self._tracker = tracker
         self._on_track = on_track
         self._on_camera = on_camera
+        self._watch = watch
+        self._clock = clock
+        self._told = ""
         self._ending = threading.Event()
 
     async def run(self) -> None:
@@ -62,15 +80,20 @@ class TrackingLoop:
                 try:
                     while not self._ending.is_set():
                         frame = self._camera.read(timeout_s=0.5)
+                        fault = self._watch.look(frame, self._clock()) if self._watch else ""
                         loop.call_soon_threadsafe(self._on_track, frame, self._tracker.update(frame))
-                        if retry_s != _FIRST_RETRY_S:
-                            retry_s = _FIRST_RETRY_S
-                            loop.call_soon_threadsafe(self._on_camera, "")
+                        self._tell(loop, fault)
+                        retry_s = _FIRST_RETRY_S
                 except DeviceError as error:
-                    loop.call_soon_threadsafe(self._on_camera, f"camera: {error}; trying again")
+                    self._tell(loop, f"camera: {error}; trying again")
                     retry_s = self._reopen(retry_s)
         finally:
             self._camera.close()
+
+    def _tell(self, loop: asyncio.AbstractEventLoop, fault: str) -> None:
+        if fault != self._told:
+            self._told = fault
+            loop.call_soon_threadsafe(self._on_camera, fault)
 
     def _reopen(self, retry_s: float) -> float:
         self._camera.close()

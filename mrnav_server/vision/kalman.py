@@ -3,9 +3,7 @@
 Both axes share one covariance, since model and measurement are isotropic.
 """
 
-import numpy as np
-
-from mrnav_server.core.arrays import FloatArray
+import math
 
 
 class PointFilter:
@@ -25,24 +23,26 @@ class PointFilter:
         speed_sigma_px_per_s: float,
         acceleration_density: float,
     ) -> None:
-        self._state: FloatArray = np.array([position_px, (0.0, 0.0)], dtype=np.float64)
-        self._covariance: FloatArray = np.diag([sigma_px**2, speed_sigma_px_per_s**2])
+        self._x_px, self._y_px = position_px
+        self._vx_px_per_s = self._vy_px_per_s = 0.0
+        # Of position, position with velocity, and velocity, along either axis.
+        self._pp, self._pv, self._vv = sigma_px**2, 0.0, speed_sigma_px_per_s**2
         self._density = acceleration_density
 
     @property
     def position_px(self) -> tuple[float, float]:
         """The estimated position (x, y)."""
-        return float(self._state[0, 0]), float(self._state[0, 1])
+        return self._x_px, self._y_px
 
     @property
     def velocity_px_per_s(self) -> tuple[float, float]:
         """The estimated velocity (x, y)."""
-        return float(self._state[1, 0]), float(self._state[1, 1])
+        return self._vx_px_per_s, self._vy_px_per_s
 
     @property
     def sigma_px(self) -> float:
         """Standard deviation of the position along either axis."""
-        return float(np.sqrt(self._covariance[0, 0]))
+        return math.sqrt(self._pp)
 
     def predict(self, dt_s: float) -> None:
         """Move on by a time of any length.
@@ -50,13 +50,22 @@ class PointFilter:
         The process noise is that of continuous white acceleration, q·[[t³/3, t²/2], [t²/2, t]], so that
         two steps are the same as one of their sum: a dropped frame needs no special case.
         """
-        step = np.array([[1.0, dt_s], [0.0, 1.0]])
-        noise = np.array([[dt_s**3 / 3.0, dt_s**2 / 2.0], [dt_s**2 / 2.0, dt_s]])
-        self._state = step @ self._state
-        self._covariance = step @ self._covariance @ step.T + self._density * noise
+        self._x_px += dt_s * self._vx_px_per_s
+        self._y_px += dt_s * self._vy_px_per_s
+        self._pp += dt_s * (2.0 * self._pv + dt_s * self._vv) + self._density * dt_s**3 / 3.0
+        self._pv += dt_s * self._vv + self._density * dt_s**2 / 2.0
+        self._vv += self._density * dt_s
 
     def correct(self, position_px: tuple[float, float], sigma_px: float) -> None:
         """Take in a measured position with its standard deviation along either axis."""
-        gain = self._covariance[:, 0] / (self._covariance[0, 0] + sigma_px**2)
-        self._state = self._state + np.outer(gain, np.asarray(position_px) - self._state[0])
-        self._covariance = self._covariance - np.outer(gain, self._covariance[0])
+        variance = self._pp + sigma_px**2
+        gain_p, gain_v = self._pp / variance, self._pv / variance
+        off_x_px, off_y_px = position_px[0] - self._x_px, position_px[1] - self._y_px
+        self._x_px += gain_p * off_x_px
+        self._y_px += gain_p * off_y_px
+        self._vx_px_per_s += gain_v * off_x_px
+        self._vy_px_per_s += gain_v * off_y_px
+        self._vv -= gain_v * self._pv
+        # What is left of a share 1 - g, so that rounding never makes it negative.
+        self._pp *= sigma_px**2 / variance
+        self._pv *= sigma_px**2 / variance

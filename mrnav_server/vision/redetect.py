@@ -15,10 +15,10 @@ _CERTAIN = 0.75
 
 
 class Redetector:
-    """Searches a whole picture for a disc of known radius, darker than what surrounds it.
+    """Searches a whole picture for a disc of known radius.
 
     Args:
-        rim: The fit that verifies candidates.
+        rim: The fit that verifies candidates; it knows the polarity too.
         radius_tolerance: Share by which the fitted radius may differ from the known one.
     """
 
@@ -31,7 +31,7 @@ class Redetector:
         half = int(radius_px) + 6
         grid = np.arange(-half, half + 1, dtype=np.float32)
         inside = np.clip(radius_px - np.hypot(grid[None, :], grid[:, None]) + 0.5, 0.0, 1.0)
-        self._template: Float32Array = (-inside).astype(np.float32)
+        self._template: Float32Array = (-inside if rim.polarity == "dark" else inside).astype(np.float32)
         self._half = half
         self._blank_px = max(1, round(0.8 * radius_px))
 
@@ -41,10 +41,9 @@ class Redetector:
         Args:
             image: Shape (height, width, 3), BGR, uint8.
         """
-        gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
         best: RimEstimate | None = None
-        for x_px, y_px in self._candidates(gray):
-            found = self._rim.fit(gray, x_px, y_px)
+        for x_px, y_px in self._candidates(image):
+            found = self._rim.fit_in(image, x_px, y_px)
             if abs(found.radius_px - self._rim.radius_px) > self._tolerance_px or found.confidence == 0.0:
                 continue
             if best is None or found.confidence > best.confidence:
@@ -53,10 +52,13 @@ class Redetector:
                 break
         return best
 
-    def _candidates(self, gray: ByteArray) -> Iterator[tuple[float, float]]:
+    def _candidates(self, image: ByteArray) -> Iterator[tuple[float, float]]:
         """Yield where the template fits best, best first, in full-scale pixels."""
         step, half = self._step, self._half
-        small = cv2.resize(gray, (gray.shape[1] // step, gray.shape[0] // step), interpolation=cv2.INTER_AREA)
+        size = (image.shape[1] // step, image.shape[0] // step)
+        # Every other row says enough about a disc that is several small pixels wide.
+        gray = cv2.cvtColor(image[:: max(1, step // 2)], cv2.COLOR_BGR2GRAY)
+        small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
         # A robot at the picture's edge would have no place for the template's centre otherwise.
         small = cv2.copyMakeBorder(small, half, half, half, half, cv2.BORDER_REPLICATE).astype(np.float32)
         match = cv2.matchTemplate(small, self._template, cv2.TM_CCOEFF_NORMED)
@@ -65,4 +67,5 @@ class Redetector:
             if score < _MATCH_MIN:
                 return
             cv2.circle(match, (column, row), self._blank_px, -1.0, -1)
-            yield (column + 0.5) * step - 0.5, (row + 0.5) * step - 0.5
+            x_px, y_px = (column + 0.5) * step - 0.5, (row + 0.5) * step - 0.5
+            yield min(max(x_px, 0.0), image.shape[1] - 1.0), min(max(y_px, 0.0), image.shape[0] - 1.0)

@@ -1,17 +1,18 @@
-"""Tracks the robot from frame to frame: Kalman prediction, rim fit, re-detection when it is lost."""
+"""Tracks the robot from frame to frame: Kalman prediction, a detector where it is expected, gate, states."""
 
+import math
 from dataclasses import dataclass, fields
+from typing import Literal
 
-import cv2
-import numpy as np
-
-from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import Calibration, ImagePoint
 from mrnav_server.core.records import Frame, Track, TrackState
+from mrnav_server.vision.detector import Detector, Sighting
+from mrnav_server.vision.frame_watch import PictureWatch
 from mrnav_server.vision.kalman import PointFilter
-from mrnav_server.vision.redetect import Redetector
-from mrnav_server.vision.rim import RimEstimate, RimFit
+from mrnav_server.vision.moving_shape import MovingShapeDetector
+from mrnav_server.vision.rim import Polarity, RimFit
+from mrnav_server.vision.sphere import SphereDetector
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,11 @@ class TrackerConfig:
     """How the robot is recognised and followed.
 
     Attributes:
-        robot_radius_um: The robot's radius in µm, 10..5000.
+        detector: ``"sphere"`` fits the rim of a disc of known radius; ``"moving-shape"`` sees any shape that
+            differs from a background that it learns, such as a helix or a swarm, less exactly.
+        polarity: Whether the robot is darker or brighter than what surrounds it.
+        robot_radius_um: The robot's radius, or that of the smallest circle round it, in µm, 10..5000;
+            ``vision.measure`` measures it in a picture.
         confidence_min: Least confidence that is accepted, 0.3..1; a scene without a robot reaches 0.29.
         radius_tolerance: Share by which the fitted radius may differ from the known one, 0.01..0.2.
         edge_strength: Gray levels over two pixels at which the rim counts in full, 5..100.
@@ -31,10 +36,15 @@ class TrackerConfig:
             of 450 µm/s within a frame at 30 fps.
         systematic_um: Error of a whole rim's centre that no noise explains (shadow, uneven light) in µm,
             0.01..100; it grows as the rim is hidden.
+        learning_frames: Pictures from which ``"moving-shape"`` learns its background, 1..1000.
+        darkest_gray: A picture with hardly a pixel this bright is black and not believed, in gray levels,
+            0..100; set it to 0 if the background is black by design.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
 
+    detector: Literal["sphere", "moving-shape"] = "sphere"
+    polarity: Polarity = "dark"
     robot_radius_um: float = 500.0
     confidence_min: float = 0.4
     radius_tolerance: float = 0.05
@@ -44,12 +54,20 @@ class TrackerConfig:
     good_to_acquire: int = 10
     speed_sigma_um_per_s: float = 2000.0
     acceleration_density_um2_per_s3: float = 6e6
-    systematic_um: float = 0.7
+    systematic_um: float = 0.45
+    learning_frames: int = 30
+    darkest_gray: float = 12.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            low, high = _RANGES[field.name]
             value = getattr(self, field.name)
+            if field.name in _CHOICES:
+                if value not in _CHOICES[field.name]:
+                    raise ConfigError(
+                        f"tracker {field.name} is {value!r}: set it to {' or '.join(_CHOICES[field.name])}"
+                    )
+                continue
+            low, high = _RANGES[field.name]
             if not low <= value <= high:
                 raise ConfigError(f"tracker {field.name} is {value}: set it to {low:g}..{high:g}")
 
@@ -65,95 +83,70 @@ _RANGES = {
     "speed_sigma_um_per_s": (1, 100_000),
     "acceleration_density_um2_per_s3": (1e3, 1e10),
     "systematic_um": (0.01, 100),
+    "learning_frames": (1, 1000),
+    "darkest_gray": (0, 100),
 }
+_CHOICES = {"detector": ("sphere", "moving-shape"), "polarity": ("dark", "bright")}
 
 
 class Tracker:
     """Follows one robot: SEARCHING -> ACQUIRING -> TRACKING, and back when it is lost.
 
-    A frame is rejected when the rim's confidence or radius is wrong, or when it lies outside the gate
-    around the prediction. After ``misses_to_lose`` of them in a row the robot is lost and each frame is
-    searched as a whole. A frame that repeats the one before bit for bit is a miss too: noise alone makes
-    two true pictures differ.
+    A frame is rejected when the detector does not see the robot where it is expected, when it is not
+    confident, or when the robot lies outside the gate around the prediction. After ``misses_to_lose`` of
+    them in a row the robot is lost and each frame is searched as a whole. A frozen or black picture is a
+    miss too, and no detector sees it.
 
     Args:
         config: How the robot is recognised.
         calibration: Where the vessel appears in the image.
+        detector: Sees the robot; None for the one that ``config.detector`` names.
     """
 
-    def __init__(self, config: TrackerConfig, calibration: Calibration) -> None:
-        affine = calibration.image_from_vessel
-        scale = float(np.sqrt(abs(affine.a * affine.d - affine.b * affine.c)))
+    def __init__(
+        self, config: TrackerConfig, calibration: Calibration, detector: Detector | None = None
+    ) -> None:
         self._config = config
         self._calibration = calibration
-        self._um_per_px = calibration.um_per_px / scale
+        self._um_per_px = calibration.um_per_px / calibration.image_from_vessel.linear_scale
         self._filter: PointFilter | None
-        self._sample: ByteArray | None
-        self._rim = RimFit(
-            config.robot_radius_um / self._um_per_px,
-            config.edge_strength,
-            config.systematic_um / self._um_per_px,
-        )
-        self._redetector = Redetector(self._rim, config.radius_tolerance)
+        self._detector = detector or _detector(config, self._um_per_px)
+        self._pictures = PictureWatch(config.darkest_gray)
         self.reset()
 
     def reset(self) -> None:
         """Forget the robot; the next frame is searched as a whole."""
         self._lose()
-        self._taken_s = -np.inf
-        self._sample = None
+        self._taken_s = -math.inf
 
     def update(self, frame: Frame) -> Track:
         """Return what a frame shows of the robot; frames come in order of their capture time."""
-        is_new = self._is_new(frame.image)
+        believed = not self._pictures.fault(frame.image)
         if self._filter is not None:
             self._filter.predict(max(frame.taken_s - self._taken_s, 0.0))
         self._taken_s = frame.taken_s
-        found = None
-        if is_new:
-            found = (
-                self._search(frame.image) if self._filter is None else self._follow(frame.image, self._filter)
-            )
+        found = self._look(frame) if believed else None
         if found is None:
             self._miss()
         else:
             self._accept(found)
         return self._track(frame, found)
 
-    def _is_new(self, image: ByteArray) -> bool:
-        """Tell whether a picture differs from the one before, by a sparse sample."""
-        sample = image[7::101, 3::7, 1].copy()
-        before, self._sample = self._sample, sample
-        return before is None or not np.array_equal(sample, before)
-
-    def _search(self, image: ByteArray) -> RimEstimate | None:
-        found = self._redetector.find(image)
-        return found if found is not None and found.confidence >= self._config.confidence_min else None
-
-    def _follow(self, image: ByteArray, filtered: PointFilter) -> RimEstimate | None:
-        x_px, y_px = filtered.position_px
-        half = self._rim.radius_px + 2.0 * self._rim.reach_px + 2.0
-        height, width = image.shape[:2]
-        if not (0.0 <= x_px < width and 0.0 <= y_px < height):
+    def _look(self, frame: Frame) -> Sighting | None:
+        """Return the robot if this frame shows it beyond doubt."""
+        if self._filter is None:
+            found = self._detector.find(frame.image)
+            off_px = gate_px = 0.0
+        else:
+            x_px, y_px = self._filter.position_px
+            found = self._detector.follow(frame.image, ImagePoint(x_px, y_px))
+            off_px = 0.0 if found is None else math.hypot(found.x_px - x_px, found.y_px - y_px)
+            gate_px = self._config.gate_um / self._um_per_px + 4.0 * self._filter.sigma_px
+        if found is None or found.confidence < self._config.confidence_min or off_px > gate_px:
             return None
-        left, top = max(0, int(x_px - half)), max(0, int(y_px - half))
-        region = image[top : int(y_px + half) + 1, left : int(x_px + half) + 1]
-        gray = cv2.cvtColor(region, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
-        local = self._rim.fit(gray, x_px - left, y_px - top)
-        off_px = float(np.hypot(local.x_px + left - x_px, local.y_px + top - y_px))
-        good = (
-            local.confidence >= self._config.confidence_min
-            and abs(local.radius_px - self._rim.radius_px)
-            <= self._config.radius_tolerance * self._rim.radius_px
-            and off_px <= self._config.gate_um / self._um_per_px + 4.0 * filtered.sigma_px
-        )
-        if not good:
-            return None
-        return RimEstimate(
-            local.x_px + left, local.y_px + top, local.radius_px, local.confidence, local.sigma_px
-        )
+        return found
 
-    def _accept(self, found: RimEstimate) -> None:
+    def _accept(self, found: Sighting) -> None:
         if self._filter is None:
             self._filter = PointFilter(
                 (found.x_px, found.y_px),
@@ -181,9 +174,9 @@ class Tracker:
         self._misses = 0
         self._good = 0
 
-    def _track(self, frame: Frame, found: RimEstimate | None) -> Track:
+    def _track(self, frame: Frame, found: Sighting | None) -> Track:
         image = None if found is None or self._filter is None else ImagePoint(*self._filter.position_px)
-        sigma_px = self._rim.radius_px if self._filter is None else self._filter.sigma_px
+        sigma_px = self._detector.radius_px if self._filter is None else self._filter.sigma_px
         return Track(
             taken_s=frame.taken_s,
             frame_number=frame.number,
@@ -194,3 +187,12 @@ class Tracker:
             sigma_um=sigma_px * self._um_per_px,
             good_frames=self._good,
         )
+
+
+def _detector(config: TrackerConfig, um_per_px: float) -> Detector:
+    """Return the detector that the settings name."""
+    radius_px = config.robot_radius_um / um_per_px
+    if config.detector == "moving-shape":
+        return MovingShapeDetector(radius_px, config.edge_strength, config.polarity, config.learning_frames)
+    rim = RimFit(radius_px, config.edge_strength, config.systematic_um / um_per_px, config.polarity)
+    return SphereDetector(rim, config.radius_tolerance)

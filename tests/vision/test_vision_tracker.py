@@ -7,8 +7,8 @@ import pytest
 
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import StagePoint, VesselPoint
-from mrnav_server.core.records import Track, TrackState
-from mrnav_server.vision.tracker import TrackerConfig
+from mrnav_server.core.records import Frame, Track, TrackState
+from mrnav_server.vision.tracker import Tracker, TrackerConfig
 from tests.vision.rendered_bench import Bench
 
 
@@ -198,6 +198,24 @@ def test_a_robot_that_leaves_the_picture_is_lost(bench: Bench) -> None:
     tracks = [bench.show(VesselPoint(1700.0 + 7.0 * k, 900.0)) for k in range(80)]
     assert tracks[20].state is TrackState.TRACKING
     assert bench.show(VesselPoint(2400.0, 900.0)).state is TrackState.SEARCHING
+
+
+def test_a_bright_robot_on_dark_is_tracked_when_told_so_and_not_otherwise(bench: Bench) -> None:
+    bright = Tracker(replace(TrackerConfig(), polarity="bright"), bench.calibration)
+    for k in range(12):
+        robot, tip = walk(k)
+        frame = Frame(k, k / 30.0, 255 - bench.microscope.render(robot, tip))
+        assert bench.tracker.update(frame).image is None
+        track = bright.update(frame)
+        assert track.image is not None
+        assert bench.error_px(track, robot) < 0.1
+    assert track.state is TrackState.TRACKING
+
+
+def test_a_dark_robot_is_not_bright(bench: Bench) -> None:
+    bright = Tracker(replace(TrackerConfig(), polarity="bright"), bench.calibration)
+    tracks = [bright.update(Frame(k, k / 30.0, bench.microscope.render(*walk(k)))) for k in range(4)]
+    assert all(t.image is None for t in tracks)
 
 
 def test_reset_forgets(bench: Bench) -> None:
