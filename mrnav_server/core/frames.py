@@ -3,18 +3,20 @@
 Frames:
     image: camera pixels, x right, y down, origin at the centre of the top-left pixel.
     vessel: grid pixels of the vessel model, x right, y down (10 µm a pixel on the models that ship).
+    floor: the channel's floor (at the height of the robot's centre) in µm; a calibration sheet lay there.
     stage: the manipulator's axes in µm; z grows upwards.
     hand: the operator's fingertip in metres, right-handed, x right, y up, z towards the operator.
 
 Maps read backwards: ``image = image_from_vessel(vessel)``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
 from mrnav_server.core.arrays import FloatArray
+from mrnav_server.core.camera_map import FloorMap, TipMap
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +103,23 @@ class Affine2:
         a, b, c, d = self.d / det, -self.b / det, -self.c / det, self.a / det
         return Affine2(a, b, c, d, -(a * self.tx + b * self.ty), -(c * self.tx + d * self.ty))
 
+    def after(self, first: "Affine2") -> "Affine2":
+        """Return the map that applies another one first."""
+        a, c = self.a * first.a + self.b * first.c, self.c * first.a + self.d * first.c
+        b, d = self.a * first.b + self.b * first.d, self.c * first.b + self.d * first.d
+        return Affine2(a, b, c, d, *self(first.tx, first.ty))
+
+    @classmethod
+    def of_rows(cls, rows: FloatArray | list[list[float]]) -> Self:
+        """Return the map with two rows ``[a, b, tx], [c, d, ty]``."""
+        (a, b, tx), (c, d, ty) = ([float(value) for value in row] for row in rows)
+        return cls(a, b, c, d, tx, ty)
+
+    @property
+    def linear_scale(self) -> float:
+        """How many output units one input unit spans: the root of the determinant."""
+        return float(np.sqrt(abs(self.a * self.d - self.b * self.c)))
+
     def rows(self) -> list[list[float]]:
         """Return the map as two rows ``[a, b, tx], [c, d, ty]`` for JSON and OpenCV."""
         return [[self.a, self.b, self.tx], [self.c, self.d, self.ty]]
@@ -110,8 +129,12 @@ class Affine2:
 class Calibration:
     """How the camera, the vessel model and the manipulator see each other.
 
+    Without the two maps the camera looks straight down through a lens without distortion, and affine maps
+    say it all; so it is on the simulated rig unless its optics are switched on. With them the maps are the
+    truth, and ``image_from_vessel`` is the affine nearest to it, for drawing.
+
     Attributes:
-        image_from_vessel: Grid pixels to image pixels, on the channel's floor.
+        image_from_vessel: Grid pixels to image pixels, on the channel's floor; affine.
         stage_from_vessel: Grid pixels to the manipulator's x, y in µm.
         um_per_px: Size of a grid pixel in µm.
         floor_z_um: Stage z at which the magnet's centre would touch the robot's centre.
@@ -120,6 +143,8 @@ class Calibration:
         critical_height_um: Height of the magnet above the robot at which the robot jumps, h*, in µm.
         working_distance_um: Camera's entrance pupil above the channel's floor, in µm (parallax of the tip).
         image_center_px: Where the optical axis meets the image, in pixels.
+        floor: Grid pixels to image pixels, with perspective and distortion; None is ``image_from_vessel``.
+        tip: Stage µm to the grid pixels that the tip hides; None is the parallax of a camera straight above.
     """
 
     image_from_vessel: Affine2
@@ -130,14 +155,28 @@ class Calibration:
     critical_height_um: float
     working_distance_um: float = 70_000.0
     image_center_px: tuple[float, float] = (799.5, 599.5)
+    floor: FloorMap | None = None
+    tip: TipMap | None = None
 
     def image_point(self, point: VesselPoint) -> ImagePoint:
         """Return where a point on the channel's floor appears in the image."""
-        return ImagePoint(*self.image_from_vessel(point.x_px, point.y_px))
+        if self.floor is None:
+            return ImagePoint(*self.image_from_vessel(point.x_px, point.y_px))
+        x_px, y_px = self.floor.image(np.array([point.x_px, point.y_px]))
+        return ImagePoint(float(x_px), float(y_px))
 
     def vessel_point(self, point: ImagePoint) -> VesselPoint:
         """Return the point on the channel's floor that an image pixel shows."""
-        return VesselPoint(*self.image_from_vessel.inverse()(point.x_px, point.y_px))
+        if self.floor is None:
+            return VesselPoint(*self.image_from_vessel.inverse()(point.x_px, point.y_px))
+        x_px, y_px = self.floor.floor(np.array([point.x_px, point.y_px]))
+        return VesselPoint(float(x_px), float(y_px))
+
+    def image_scale(self, point: VesselPoint) -> float:
+        """Return how many image pixels a grid pixel spans at a point on the channel's floor."""
+        if self.floor is None:
+            return self.image_from_vessel.linear_scale
+        return float(self.floor.scale(np.array([point.x_px, point.y_px])))
 
     def stage_xy_um(self, point: VesselPoint) -> tuple[float, float]:
         """Return stage x, y in µm right above a vessel point."""
@@ -157,8 +196,25 @@ class Calibration:
         return tip.z_um - self.floor_z_um
 
     def tip_in_image(self, tip: StagePoint) -> ImagePoint:
-        """Return where the magnet appears: its floor projection, magnified by its height."""
+        """Return where the magnet appears: the image of the floor point that it hides."""
+        if self.tip is not None:
+            x_px, y_px = self.tip.floor(tip.array())
+            return self.image_point(VesselPoint(float(x_px), float(y_px)))
         flat = self.image_point(self.vessel_below(tip))
         zoom = self.working_distance_um / max(self.working_distance_um - self.height_um(tip), 1.0)
         cx, cy = self.image_center_px
         return ImagePoint(cx + (flat.x_px - cx) * zoom, cy + (flat.y_px - cy) * zoom)
+
+    def registered(self, old_from_new: Affine2) -> "Calibration":
+        """Return the calibration for a vessel model that lies elsewhere on the floor.
+
+        Args:
+            old_from_new: Grid pixels as they were from grid pixels as they are.
+        """
+        return replace(
+            self,
+            image_from_vessel=self.image_from_vessel.after(old_from_new),
+            stage_from_vessel=self.stage_from_vessel.after(old_from_new),
+            floor=self.floor and self.floor.after(np.array(old_from_new.rows())),
+            tip=self.tip and self.tip.then(np.array(old_from_new.inverse().rows())),
+        )

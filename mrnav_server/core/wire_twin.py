@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+from mrnav_server.core.camera_map import FloorMap
 from mrnav_server.core.frames import Calibration, ImagePoint, StagePoint, VesselPoint
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import CriticalArea, Percentiles, RigState
@@ -192,6 +193,20 @@ def calibration_fields(calibration: Calibration) -> dict[str, object]:
         "floor_z_um": calibration.floor_z_um,
         "magnet_offset_um": list(calibration.magnet_offset_um),
         "critical_height_um": calibration.critical_height_um,
+        "floor_map": _floor_map_fields(calibration.floor),
+    }
+
+
+def _floor_map_fields(floor: FloorMap | None) -> dict[str, object] | None:
+    """Return the camera's full map; ``image_from_vessel`` is the affine nearest to it."""
+    if floor is None:
+        return None
+    rows = [list(floor.homography[row : row + 3]) for row in (0, 3, 6)]
+    return {
+        "homography": rows,
+        "center_px": list(floor.center_px),
+        "radial": floor.radial,
+        "radius_px": floor.radius_px,
     }
 
 

@@ -6,7 +6,7 @@ Everything is a closed form of the signed distance to the wall, so any vessel at
 import cv2
 import numpy as np
 
-from mrnav_server.core.arrays import ByteArray, Float32Array
+from mrnav_server.core.arrays import ByteArray, Float32Array, FloatArray
 from mrnav_server.core.frames import Affine2
 from mrnav_server.core.vessel import VesselMap
 
@@ -18,25 +18,37 @@ _DISH_BGR = (98.0, 92.0, 87.0)
 
 
 def backdrop(
-    vessel: VesselMap, image_from_vessel: Affine2, width_px: int, height_px: int, rng: np.random.Generator
+    vessel: VesselMap,
+    image_from_vessel: Affine2,
+    width_px: int,
+    height_px: int,
+    rng: np.random.Generator,
+    seen_px: FloatArray | None = None,
 ) -> ByteArray:
     """Paint the channel's floor, walls, print texture and illumination.
 
     Args:
         vessel: The vessel model.
-        image_from_vessel: Where its grid appears.
+        image_from_vessel: Where its grid appears, at least nearly.
         width_px: Image width.
         height_px: Image height.
         rng: Draws the texture and the dust.
+        seen_px: The grid point that each pixel shows, shape (height, width, 2), where that is not affine.
 
     Returns:
         Shape (height, width, 3), BGR, uint8.
     """
     size = (width_px, height_px)
-    um_per_px = vessel.um_per_px / linear_scale(image_from_vessel)
+    um_per_px = vessel.um_per_px / image_from_vessel.linear_scale
     matrix = np.array(image_from_vessel.rows())
-    wall_um = _warp(vessel.distance_px * np.float32(vessel.um_per_px), matrix, size, -600.0)
-    model = _warp(np.ones_like(vessel.distance_px), matrix, size, 0.0)
+
+    def seen(grid: Float32Array, outside: float) -> Float32Array:
+        if seen_px is None:
+            return _warp(grid, matrix, size, outside)
+        return sampled(grid, seen_px, outside)
+
+    wall_um = seen(vessel.distance_px * np.float32(vessel.um_per_px), -600.0)
+    model = seen(np.ones_like(vessel.distance_px), 0.0)
     lumen = _smooth_step(wall_um, -12.0, 12.0)
 
     body = np.empty((height_px, width_px, 3), np.float32)
@@ -54,9 +66,13 @@ def backdrop(
     return np.clip(picture, 0.0, 255.0).astype(np.uint8)
 
 
-def linear_scale(affine: Affine2) -> float:
-    """Return how many output units one input unit spans: the square root of the determinant."""
-    return float(np.sqrt(abs(affine.a * affine.d - affine.b * affine.c)))
+def sampled(grid: Float32Array, at_px: FloatArray, outside: float) -> Float32Array:
+    """Return a grid's values at points, shape (height, width); beyond the grid ``outside``."""
+    x, y = (np.ascontiguousarray(at_px[..., axis], np.float32) for axis in (0, 1))
+    values = cv2.remap(
+        grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float(outside)
+    )
+    return values.astype(np.float32)
 
 
 def _warp(array: Float32Array, matrix: np.ndarray, size: tuple[int, int], outside: float) -> Float32Array:

@@ -5,14 +5,15 @@ from dataclasses import dataclass, fields
 import cv2
 import numpy as np
 
-from mrnav_server.core.arrays import ByteArray
+from mrnav_server.core.arrays import ByteArray, FloatArray
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import Calibration, StagePoint, VesselPoint
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
-from mrnav_server.sim.backdrop import backdrop, linear_scale
+from mrnav_server.sim.backdrop import backdrop
 from mrnav_server.sim.magnetics import Magnets
 from mrnav_server.sim.occluder import NeedleShape, Occluder
+from mrnav_server.sim.optics import Optics, View
 from mrnav_server.sim.sprites import Region, SphereSprite
 
 _POOL_MARGIN_PX = 64
@@ -68,6 +69,7 @@ class Microscope:
         vessel: What lies under it.
         calibration: Where things appear.
         seed: Seeds the texture and the noise.
+        optics: The camera's exact optics, where ``calibration`` is only near to them.
     """
 
     def __init__(
@@ -78,19 +80,21 @@ class Microscope:
         vessel: VesselMap,
         calibration: Calibration,
         seed: int,
+        optics: Optics | None = None,
     ) -> None:
         self._rng = np.random.default_rng(seed)
-        self._calibration = calibration
+        self._view: View = optics or calibration
         width, height = picture.width_px, picture.height_px
         # Unsigned noise around this level; everything painted is lowered by it first.
         offset = round(4 * config.noise)
-        floor = backdrop(vessel, calibration.image_from_vessel, width, height, self._rng)
-        self._floor = cv2.subtract(floor, np.full_like(floor, offset)).astype(np.uint8)
-        self._scene = self._floor.copy()
+        seen_px = None if optics is None else floor_seen_um(optics, width, height) / vessel.um_per_px
+        floor = backdrop(vessel, calibration.image_from_vessel, width, height, self._rng, seen_px)
+        self._offset = offset
+        self.lay(floor)
         self._pool = self._noise_pool(picture, config.noise, offset)
         self._crop = 0
-        radius_px = vessel.robot_radius_px * linear_scale(calibration.image_from_vessel)
-        self._sphere = SphereSprite(radius_px, config.rim_blur_px, offset)
+        self._sphere = SphereSprite(config.rim_blur_px, offset)
+        self._radius_px = vessel.robot_radius_px
         shape = NeedleShape(
             magnet_diameter_um=magnets.needle_diameter_um,
             magnet_length_um=magnets.needle_length_um,
@@ -100,7 +104,12 @@ class Microscope:
             azimuth_deg=magnets.azimuth_deg,
             pupil_um=config.pupil_um,
         )
-        self._occluder = Occluder(shape, calibration, width, height, offset)
+        self._occluder = Occluder(shape, calibration, self._view, width, height, offset)
+
+    def lay(self, floor: ByteArray) -> None:
+        """Lay another floor under the microscope, shape (height, width, 3), BGR, uint8."""
+        self._floor = cv2.subtract(floor, np.full_like(floor, self._offset)).astype(np.uint8)
+        self._scene = self._floor.copy()
 
     def render(self, robot: VesselPoint | None, tip: StagePoint) -> ByteArray:
         """Return the picture of a robot and a tip.
@@ -114,7 +123,8 @@ class Microscope:
         """
         painted: list[Region] = []
         if robot is not None:
-            touched = self._sphere.paint(self._scene, self._calibration.image_point(robot))
+            radius_px = self._radius_px * self._view.image_scale(robot)
+            touched = self._sphere.paint(self._scene, self._view.image_point(robot), radius_px)
             if touched is not None:
                 painted.append(touched)
         painted += self._occluder.paint(self._scene, tip)
@@ -135,3 +145,9 @@ class Microscope:
         pool += self._rng.standard_normal((*shape, 1), np.float32) * np.float32(0.75 * noise)
         pool += np.float32(offset)
         return np.clip(np.rint(pool, out=pool), 0.0, 255.0, out=pool).astype(np.uint8)
+
+
+def floor_seen_um(optics: Optics, width_px: int, height_px: int) -> FloatArray:
+    """Return the floor point that each pixel shows, in µm, shape (height, width, 2)."""
+    columns, rows = np.meshgrid(np.arange(width_px), np.arange(height_px))
+    return optics.floor_um(np.stack([columns, rows], axis=-1))

@@ -7,7 +7,7 @@ import numpy as np
 
 from mrnav_server.core.arrays import ByteArray, Float32Array, FloatArray
 from mrnav_server.core.frames import Calibration, ImagePoint, StagePoint
-from mrnav_server.sim.backdrop import linear_scale
+from mrnav_server.sim.optics import View
 from mrnav_server.sim.sprites import Region, blend, to_bytes
 
 _CELL_PX = 8
@@ -15,6 +15,8 @@ _CELL_PX = 8
 _NICKEL = (44.0, 88.0)
 """Gray of the magnet, and how much its sheen adds."""
 _STEEL = (78.0, 150.0)
+_PROBE_UM = 50.0
+"""Length of axis from which its direction in the image is taken."""
 _STRIP_CELLS = 20
 """Column strips hug an oblique needle: far fewer pixels than its bounding box."""
 
@@ -44,15 +46,30 @@ class Occluder:
 
     A point at height z over the floor appears magnified by k = WD / (WD - z) about the optical axis and
     blurred by the pupil's disc of radius (k - 1)·pupil/2. The needle's axis is a straight line in the
-    image, along which both grow; a strip seen through the disc has a closed-form opacity.
+    image, along which both grow; a strip seen through the disc has a closed-form opacity. The tip and the
+    axis' direction follow the view; tilt and distortion bend the rest of the needle by less than is drawn.
+
+    Args:
+        shape: The end-effector.
+        calibration: Heights, and how the stage lies in the vessel's plane.
+        view: Where the magnet appears.
+        width_px: Image width.
+        height_px: Image height.
+        offset: Gray levels that the noise adds later.
     """
 
     def __init__(
-        self, shape: NeedleShape, calibration: Calibration, width_px: int, height_px: int, offset: float
+        self,
+        shape: NeedleShape,
+        calibration: Calibration,
+        view: View,
+        width_px: int,
+        height_px: int,
+        offset: float,
     ) -> None:
         self._shape = shape
         self._calibration = calibration
-        self._px_per_um = linear_scale(calibration.image_from_vessel) / calibration.um_per_px
+        self._view = view
         self._offset = offset
         tilt, azimuth = np.deg2rad(shape.tilt_deg), np.deg2rad(shape.azimuth_deg)
         self._rise = float(np.cos(tilt))
@@ -84,6 +101,17 @@ class Occluder:
                 touched.append(region)
         return touched
 
+    def _heading(self, tip: StagePoint) -> FloatArray:
+        """Return how fast a point on the needle's axis moves in the image at the tip, in px per µm."""
+        dx, dy, dz = (_PROBE_UM * part for part in (self._run[0], self._run[1], self._rise))
+        ends = (
+            self._view.tip_in_image(StagePoint(tip.x_um + s * dx, tip.y_um + s * dy, tip.z_um + s * dz))
+            for s in (1.0, -1.0)
+        )
+        (ahead, behind) = ends
+        step = np.array([ahead.x_px - behind.x_px, ahead.y_px - behind.y_px])
+        return np.asarray(step / (2.0 * _PROBE_UM))
+
     def _region(self, row0: int, row1: int, column0: int, column1: int) -> Region:
         """Return the pixels that cells show, without their margin; cell 1 is the picture's first."""
         height, width = self._size
@@ -99,49 +127,52 @@ class Occluder:
         depth_um = distance_um - height_um
         if depth_um < 0.2 * distance_um:
             return None
-        origin = self._calibration.tip_in_image(tip)
-        center = self._calibration.image_center_px
-        zoom = distance_um / depth_um
-        off_axis = np.array([origin.x_px - center[0], origin.y_px - center[1]]) / zoom
-        heading = depth_um * self._px_per_um * self._run + off_axis * self._rise
-        pace = max(float(np.hypot(*heading)), 1e-6)
+        origin = self._view.tip_in_image(tip)
+        px_per_um = self._view.image_scale(self._calibration.vessel_below(tip)) / self._calibration.um_per_px
+        heading = self._heading(tip)
+        pace = max(float(np.hypot(*heading)), 1e-9)
         axis = _Axis(
             direction=heading / pace,
-            gain_px=distance_um * pace / depth_um,
+            gain_px=pace * depth_um,
             depth_um=depth_um,
             distance_um=distance_um,
             rise=self._rise,
-            px_per_um=self._px_per_um,
+            px_per_um=px_per_um,
             pupil_um=self._shape.pupil_um,
         )
         half_um = self._shape.magnet_length_um / 2.0
         # The needle is followed up to where it is wide, faint and outside the picture.
         top_um = max((0.75 * distance_um - height_um) / max(self._rise, 0.05), 2.0 * half_um)
-        columns, rows = self._cells_near(origin, axis, -2.0 * half_um, top_um)
+        columns, rows, reach_px = self._cells_near(origin, axis, -2.0 * half_um, top_um)
         if columns.stop - columns.start < 3 or rows.stop - rows.start < 3:
             return None
         x, y = self._x[None, columns] - np.float32(origin.x_px), self._y[rows, None] - np.float32(origin.y_px)
         cos, sin = np.float32(axis.direction[0]), np.float32(axis.direction[1])
-        along, across = cos * x + sin * y, cos * y - sin * x
-        magnet, magnet_gray = axis.rod(
-            along, across, (-half_um, half_um), self._shape.magnet_diameter_um, _NICKEL
+        across = cos * y - sin * x
+        clear, color = np.full(across.shape, 255, np.uint8), np.zeros(across.shape, np.uint8)
+        # An oblique needle touches few of the cells around it; the rods cost far more than finding them.
+        near = np.flatnonzero(np.abs(across) < np.float32(reach_px))
+        across = across.ravel()[near]
+        along = (cos * x + sin * y).ravel()[near]
+        magnet, magnet_gray = np.zeros_like(along), np.zeros_like(along)
+        end = np.flatnonzero(along < np.float32(axis.along_px(half_um) + reach_px))
+        magnet[end], magnet_gray[end] = axis.rod(
+            along[end], across[end], (-half_um, half_um), self._shape.magnet_diameter_um, _NICKEL
         )
         needle, needle_gray = axis.rod(
             along, across, (half_um, top_um), self._shape.needle_diameter_um, _STEEL
         )
-        clear = (1.0 - magnet) * (1.0 - needle)
-        color: Float32Array = magnet_gray * magnet * (1.0 - needle) + needle_gray * needle
-        color -= np.float32(self._offset) * (1.0 - clear)
-        return (
-            (rows.start, columns.start),
-            to_bytes(255.0 * clear),
-            to_bytes(np.maximum(color, np.float32(0.0))),
-        )
+        through = (1.0 - magnet) * (1.0 - needle)
+        gray: Float32Array = magnet_gray * magnet * (1.0 - needle) + needle_gray * needle
+        gray -= np.float32(self._offset) * (1.0 - through)
+        clear.ravel()[near] = to_bytes(255.0 * through)
+        color.ravel()[near] = to_bytes(np.maximum(gray, np.float32(0.0)))
+        return (rows.start, columns.start), clear, color
 
     def _cells_near(
         self, origin: ImagePoint, axis: "_Axis", low_um: float, high_um: float
-    ) -> tuple[slice, slice]:
-        """Return the columns and rows of cells that can be touched at all."""
+    ) -> tuple[slice, slice, float]:
+        """Return the columns and rows of cells that can be touched at all, and how far from the axis."""
         ends = [axis.along_px(low_um), min(axis.along_px(high_um), 4.0 * max(self._size))]
         xs = [origin.x_px + end * axis.direction[0] for end in ends]
         ys = [origin.y_px + end * axis.direction[1] for end in ends]
@@ -153,6 +184,7 @@ class Occluder:
         return (
             slice(*np.searchsorted(self._x, [min(xs) - reach, max(xs) + reach]).tolist()),
             slice(*np.searchsorted(self._y, [min(ys) - reach, max(ys) + reach]).tolist()),
+            reach,
         )
 
     @staticmethod
@@ -226,6 +258,6 @@ def _enlarge(cells: ByteArray, pixels: ByteArray) -> ByteArray:
 
 def _through_pupil(t: Float32Array) -> Float32Array:
     """Return the share of a disc of radius 1 on one side of a line at distance t (a cubic, within 0.02)."""
-    t = np.clip(t, np.float32(-1.0), np.float32(1.0))
+    t = np.minimum(np.maximum(t, np.float32(-1.0)), np.float32(1.0))
     share: Float32Array = np.float32(0.5) + t * (np.float32(0.75) - np.float32(0.25) * t * t)
     return share

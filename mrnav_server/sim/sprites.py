@@ -31,43 +31,37 @@ class SphereSprite:
     """A dark metal sphere with a soft rim, a highlight and a shadow, at any sub-pixel position.
 
     Args:
-        radius_px: Radius in the image.
         blur_px: Softness of the rim.
         offset: Gray levels that the noise adds later.
     """
 
-    def __init__(self, radius_px: float, blur_px: float, offset: float) -> None:
-        self._radius_px = radius_px
+    def __init__(self, blur_px: float, offset: float) -> None:
         self._blur_px = blur_px
         self._offset = offset
-        self._half = int(np.ceil(1.42 * radius_px))
-        grid = np.arange(-self._half, self._half + 1, dtype=np.float32)
-        self._x, self._y = grid[None, :], grid[:, None]
 
-    def paint(self, scene: ByteArray, center: ImagePoint) -> Region | None:
+    def paint(self, scene: ByteArray, center: ImagePoint, radius_px: float) -> Region | None:
         """Paint the sphere; return what it touched, or None when it is outside the picture."""
         height, width = scene.shape[:2]
+        half = int(np.ceil(1.42 * radius_px))
         column, row = round(center.x_px), round(center.y_px)
-        x0, x1 = max(0, column - self._half), min(width, column + self._half + 1)
-        y0, y1 = max(0, row - self._half), min(height, row + self._half + 1)
+        x0, x1 = max(0, column - half), min(width, column + half + 1)
+        y0, y1 = max(0, row - half), min(height, row + half + 1)
         if x0 >= x1 or y0 >= y1:
             return None
-        inner = (
-            slice(y0 - row + self._half, y1 - row + self._half),
-            slice(x0 - column + self._half, x1 - column + self._half),
-        )
-        unit = np.float32(1.0 / self._radius_px)
-        x = (self._x[:, inner[1]] - np.float32(center.x_px - column)) * unit
-        y = (self._y[inner[0]] - np.float32(center.y_px - row)) * unit
+        columns = np.arange(x0 - column, x1 - column, dtype=np.float32)[None, :]
+        rows = np.arange(y0 - row, y1 - row, dtype=np.float32)[:, None]
+        unit = np.float32(1.0 / radius_px)
+        x = (columns - np.float32(center.x_px - column)) * unit
+        y = (rows - np.float32(center.y_px - row)) * unit
         region = (slice(y0, y1), slice(x0, x1))
-        blend(scene[region], *self._look(x, y))
+        blend(scene[region], *self._look(x, y, radius_px))
         return region
 
-    def _look(self, x: Float32Array, y: Float32Array) -> tuple[ByteArray, ByteArray]:
+    def _look(self, x: Float32Array, y: Float32Array, radius_px: float) -> tuple[ByteArray, ByteArray]:
         """Return the share of light let through and the own gray, on coordinates of unit radius."""
         square = x * x + y * y
         cover: Float32Array = np.clip(
-            (1.0 - np.sqrt(square)) * np.float32(self._radius_px / (2.2 * self._blur_px)) + 0.5,
+            (1.0 - np.sqrt(square)) * np.float32(radius_px / (2.2 * self._blur_px)) + 0.5,
             np.float32(0.0),
             np.float32(1.0),
         )

@@ -10,6 +10,7 @@ from mrnav_server.core.frames import Affine2, Calibration, StagePoint, VesselPoi
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.sim.magnetics import Magnets, critical_height_um, equilibrium_offset_um
+from mrnav_server.sim.optics import Optics, OpticsConfig
 from mrnav_server.sim.robot import STEP_S, Robot
 
 TRAVEL_UM = 20_000.0
@@ -55,6 +56,7 @@ class SimConfig:
         camera_latency_ms: From capture to delivery of a frame, in ms, 0..100.
         seed: Seed of everything that is drawn by chance.
         magnets: The magnets and the ambient field.
+        optics: Tilt and distortion of the camera, and the water over the channel.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
@@ -73,6 +75,7 @@ class SimConfig:
     camera_latency_ms: float = 5.0
     seed: int = 0
     magnets: Magnets = field(default_factory=Magnets)
+    optics: OpticsConfig = field(default_factory=OpticsConfig)
 
     def __post_init__(self) -> None:
         for name, (low, high) in ALLOWED.items():
@@ -118,6 +121,8 @@ class SimulatedWorld:
     Attributes:
         true_calibration: What the physics and the renderer follow.
         calibration: What the server is told; its magnetic offset is wrong by ``offset_error_um``.
+        optics: The camera that the renderer follows; None while ``config.optics`` is plain, when
+            ``true_calibration`` says it all. Under water its maps are paraxial, the optics exact.
 
     Raises:
         ConfigError: If robot, vessel and manipulator do not fit each other.
@@ -127,6 +132,7 @@ class SimulatedWorld:
         self, config: SimConfig, vessel: VesselMap, picture: PictureFormat, seed: int | None = None
     ) -> None:
         self.true_calibration = true_calibration(config, vessel, picture)
+        self.optics = optics(config, vessel, picture)
         rng = np.random.default_rng(config.seed if seed is None else seed)
         self.calibration = _with_offset_error(self.true_calibration, config.offset_error_um, rng)
         start = config.start or start_near_an_end(vessel)
@@ -184,6 +190,16 @@ class SimulatedWorld:
         fastest = self._config.manipulator_speed_um_per_s
         self._speed_um_per_s = min(max(speed_um_per_s, SLOWEST_UM_PER_S), fastest)
         return StagePoint(*self._target_um), self._speed_um_per_s
+
+    def follow(self, tip: StagePoint) -> None:
+        """Let the magnet follow a tip that something outside the world moves."""
+        self._target_um = (tip.x_um, tip.y_um, tip.z_um)
+        self._speed_um_per_s = math.inf
+
+    def place_tip(self, tip: StagePoint) -> None:
+        """Put the tip somewhere at once; the robot stays where it is."""
+        self._tip_um = self._target_um = (tip.x_um, tip.y_um, tip.z_um)
+        self._snapshot = self._seen()
 
     def stop(self) -> None:
         """Stop the manipulator where it is; its servo has no mass that would carry it on."""
@@ -283,6 +299,29 @@ def true_calibration(config: SimConfig, vessel: VesselMap, picture: PictureForma
     Raises:
         ConfigError: If the magnets hold no robot, or the vessel is made for another one.
     """
+    plain = _plain_calibration(config, vessel, picture)
+    if config.optics.is_plain:
+        return plain
+    true = Optics(config.optics, plain, picture)
+    um = vessel.um_per_px
+    floor = true.floor_map().after(np.array(Affine2.scale(um).rows()))
+    return replace(
+        plain,
+        image_from_vessel=Affine2.of_rows(floor.best_affine(vessel.size_px)),
+        floor=floor,
+        tip=true.tip_map().then(np.array(Affine2.scale(1.0 / um).rows())),
+    )
+
+
+def optics(config: SimConfig, vessel: VesselMap, picture: PictureFormat) -> Optics | None:
+    """Return the camera's exact optics, or None if they are plain."""
+    if config.optics.is_plain:
+        return None
+    return Optics(config.optics, _plain_calibration(config, vessel, picture), picture)
+
+
+def _plain_calibration(config: SimConfig, vessel: VesselMap, picture: PictureFormat) -> Calibration:
+    """Return the calibration under a camera that looks straight down through a perfect lens."""
     radius_um = vessel.robot_radius_px * vessel.um_per_px
     if abs(radius_um - config.magnets.robot_radius_um) > 1.0:
         raise ConfigError(

@@ -125,7 +125,13 @@ class LockStepRig:
         self.world = SimulatedWorld(sim, vessel, settings.camera)
         self._vessel, self._planner, self._policy = vessel, planner, policy
         self._microscope = Microscope(
-            settings.microscope, settings.camera, sim.magnets, vessel, self.world.true_calibration, seed
+            settings.microscope,
+            settings.camera,
+            sim.magnets,
+            vessel,
+            self.world.true_calibration,
+            seed,
+            self.world.optics,
         )
         self._tracker = Tracker(settings.tracker, self.world.calibration)
         self._latency_s = sim.camera_latency_ms * 1e-3

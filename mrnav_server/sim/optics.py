@@ -1,0 +1,221 @@
+"""The simulated camera as a lab has it: tilted, with a lens that distorts, over a surface of water.
+
+Rays are traced exactly, so what is drawn with them follows no calibration's model.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+
+from mrnav_server.core.arrays import FloatArray
+from mrnav_server.core.camera_map import FloorMap, TipMap
+from mrnav_server.core.errors import ConfigError
+from mrnav_server.core.frames import Calibration, ImagePoint, StagePoint, VesselPoint
+from mrnav_server.core.picture import PictureFormat
+
+ALLOWED = {
+    "radial": (-0.1, 0.1),
+    "tilt_deg": (0.0, 15.0),
+    "tilt_azimuth_deg": (-360.0, 360.0),
+    "water_depth_um": (0.0, 10_000.0),
+    "water_index": (1.0, 1.6),
+}
+_NEWTON_ROUNDS = 8
+"""Most steps towards the ray that meets a point under water."""
+_SETTLED_UM = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class OpticsConfig:
+    """How the simulated camera departs from one that looks straight down through a perfect lens.
+
+    Attributes:
+        radial: Radial distortion at the picture's corners, -0.1..0.1; -0.01 pulls them in by 1 %.
+        tilt_deg: Angle between the optical axis and the vertical, 0..15°.
+        tilt_azimuth_deg: Direction in the vessel's plane in which the camera stands off, -180..180°.
+        water_depth_um: Water over the robot's centre in µm, 0..10000; 0 is a dry dish.
+        water_index: Refractive index of the water, 1..1.6.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
+
+    radial: float = 0.0
+    tilt_deg: float = 0.0
+    tilt_azimuth_deg: float = 35.0
+    water_depth_um: float = 0.0
+    water_index: float = 1.333
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            low, high = ALLOWED[field.name]
+            value = getattr(self, field.name)
+            if not low <= value <= high:
+                raise ConfigError(f"sim.optics.{field.name} is {value:g}; choose it within {low:g}..{high:g}")
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the camera looks straight down, through a perfect lens and no water."""
+        return self.radial == 0.0 and self.tilt_deg == 0.0 and self.rise_um == 0.0
+
+    @property
+    def rise_um(self) -> float:
+        """How far the water lifts the floor for an eye above it: ``d·(1 - 1/n)``."""
+        return self.water_depth_um * (1.0 - 1.0 / self.water_index)
+
+
+class View(Protocol):
+    """Where things appear; a calibration is one, the simulated optics are another."""
+
+    def image_point(self, point: VesselPoint) -> ImagePoint:
+        """Return where a point on the channel's floor appears."""
+
+    def image_scale(self, point: VesselPoint) -> float:
+        """Return how many image pixels a grid pixel spans there."""
+
+    def tip_in_image(self, tip: StagePoint) -> ImagePoint:
+        """Return where the magnet appears."""
+
+
+class Optics:
+    """The camera over the bench, in floor coordinates: vessel µm, and z in µm above the robot's centre.
+
+    Args:
+        config: Tilt, distortion and water.
+        plain: The bench under a camera without them; vessel, stage and heights are taken from it.
+        picture: Size of the pictures.
+    """
+
+    def __init__(self, config: OpticsConfig, plain: Calibration, picture: PictureFormat) -> None:
+        self._config = config
+        self._plain = plain
+        self._center_px = np.array(picture.center_px)
+        self._radius_px = math.hypot(picture.width_px, picture.height_px) / 2.0
+        tilt, azimuth = math.radians(config.tilt_deg), math.radians(config.tilt_azimuth_deg)
+        seen = plain.vessel_point(ImagePoint(*picture.center_px))
+        back = np.array(
+            [math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)]
+        )
+        aim_um = np.array([seen.x_px * plain.um_per_px, seen.y_px * plain.um_per_px, 0.0])
+        distance_um = plain.working_distance_um
+        self._camera_um = aim_um + distance_um * back
+        # Refocused and zoomed so that the vessel fills the picture as it does without water.
+        self._focal_px = (
+            (distance_um - config.rise_um) * plain.image_from_vessel.linear_scale / plain.um_per_px
+        )
+        self._axes = _axes(-back)
+        self._floor_map = self.floor_map()
+
+    def image(self, points_um: FloatArray) -> FloatArray:
+        """Return where points appear.
+
+        Args:
+            points_um: Floor x, y and height, in µm, shape (..., 3); under water those below its surface.
+
+        Returns:
+            Shape (..., 2), in pixels.
+        """
+        seen_um = self._through_water(np.asarray(points_um, np.float64))
+        ray = (seen_um - self._camera_um) @ self._axes.T
+        offset = self._focal_px * ray[..., :2] / ray[..., 2:]
+        square = np.sum(offset * offset, axis=-1, keepdims=True) / self._radius_px**2
+        return np.asarray(self._center_px + offset * (1.0 + self._config.radial * square))
+
+    def floor_um(self, image_px: FloatArray) -> FloatArray:
+        """Return the floor points that pixels show, in µm, shape (..., 2)."""
+        lens = FloorMap(
+            (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), self._center, self._config.radial, self._radius_px
+        )
+        offset = (lens.floor(image_px) - self._center_px) / self._focal_px
+        ray = offset @ self._axes[:2] + self._axes[2]
+        slope = ray[..., :2] / -ray[..., 2:]
+        depth_um = self._config.water_depth_um
+        tangent = np.linalg.norm(slope, axis=-1, keepdims=True)
+        bent = slope * (_tan_in_water(tangent, self._config.water_index) / np.maximum(tangent, 1e-12))
+        return np.asarray(self._camera_um[:2] + (self._camera_um[2] - depth_um) * slope + depth_um * bent)
+
+    def image_point(self, point: VesselPoint) -> ImagePoint:
+        """Return where a point on the channel's floor appears."""
+        um = self._plain.um_per_px
+        return ImagePoint(*self.image(np.array([point.x_px * um, point.y_px * um, 0.0])).tolist())
+
+    def image_scale(self, point: VesselPoint) -> float:
+        """Return how many image pixels a grid pixel spans on the channel's floor."""
+        um = self._plain.um_per_px
+        return um * float(self._floor_map.scale(np.array([point.x_px * um, point.y_px * um])))
+
+    def tip_in_image(self, tip: StagePoint) -> ImagePoint:
+        """Return where the magnet's centre appears."""
+        below, um = self._plain.vessel_below(tip), self._plain.um_per_px
+        # A tip at the camera's height has no image; it is kept in front of the camera.
+        height_um = min(self._plain.height_um(tip), 0.999 * float(self._camera_um[2]))
+        return ImagePoint(*self.image(np.array([below.x_px * um, below.y_px * um, height_um])).tolist())
+
+    def floor_map(self) -> FloorMap:
+        """Return the map of the floor, from µm: exact but for the water, which is paraxial in it."""
+        rise_um = self._config.rise_um
+        plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, rise_um]])
+        view = self._axes @ (plane - np.outer(self._camera_um, [0.0, 0.0, 1.0]))
+        lens = np.array(
+            [
+                [self._focal_px, 0.0, self._center_px[0]],
+                [0.0, self._focal_px, self._center_px[1]],
+                [0.0, 0.0, 1.0],
+            ]
+        )
+        whole = lens @ view
+        whole /= whole[2, 2]
+        return FloorMap(tuple(whole.ravel().tolist()), self._center, self._config.radial, self._radius_px)
+
+    def tip_map(self) -> TipMap:
+        """Return the map of a tip above the water, from stage µm to floor µm: paraxial in the water."""
+        x_um, y_um, z_um = self._camera_um.tolist()
+        seen_from_um = z_um - self._config.rise_um
+        camera_z_um = self._plain.floor_z_um + z_um
+        floor_from_stage = np.array(self._plain.stage_from_vessel.inverse().rows()) * self._plain.um_per_px
+        shrink = seen_from_um / camera_z_um
+        apparent_z_um = self._plain.floor_z_um + self._config.rise_um
+        offset = shrink * floor_from_stage[:, 2] + np.array([x_um, y_um]) * apparent_z_um / camera_z_um
+        lift = (offset - np.array([x_um, y_um])) / camera_z_um
+        matrix = np.column_stack([shrink * floor_from_stage[:, :2], lift])
+        return TipMap(tuple(matrix.ravel().tolist()), (float(offset[0]), float(offset[1])), camera_z_um)
+
+    def _through_water(self, points_um: FloatArray) -> FloatArray:
+        """Return where rays to points meet the water's surface; points above it are met directly."""
+        depth_um = self._config.water_depth_um
+        across = points_um[..., :2] - self._camera_um[:2]
+        reach_um = np.linalg.norm(across, axis=-1, keepdims=True)
+        under_um = np.maximum(depth_um - points_um[..., 2:], 0.0)
+        above_um = self._camera_um[2] - np.maximum(points_um[..., 2:], depth_um)
+        index = self._config.water_index
+        tangent = reach_um / (above_um + under_um / index)
+        for _ in range(_NEWTON_ROUNDS if depth_um else 0):
+            sine_squared = tangent**2 / (1.0 + tangent**2) / index**2
+            slope = above_um + under_um / index * ((1.0 + tangent**2) * (1.0 - sine_squared)) ** -1.5
+            excess = above_um * tangent + under_um * _tan_in_water(tangent, index) - reach_um
+            tangent = tangent - excess / slope
+            if np.abs(excess).max() < _SETTLED_UM:
+                break
+        share = above_um * tangent / np.maximum(reach_um, 1e-12)
+        surface = self._camera_um[:2] + across * share
+        return np.concatenate([surface, self._camera_um[2] - above_um], axis=-1)
+
+    @property
+    def _center(self) -> tuple[float, float]:
+        return float(self._center_px[0]), float(self._center_px[1])
+
+
+def _axes(forward: FloatArray) -> FloatArray:
+    """Return the image's right and down, and the view's direction, as rows: no roll about the axis."""
+    right = np.array([1.0, 0.0, 0.0]) - forward[0] * forward
+    right /= np.linalg.norm(right)
+    down = np.array([0.0, 1.0, 0.0]) - forward[1] * forward
+    down -= (down @ right) * right
+    return np.stack([right, down / np.linalg.norm(down), forward])
+
+
+def _tan_in_water(tangent: FloatArray, index: float) -> FloatArray:
+    """Return the tangent of a ray's angle to the vertical after it entered the water: Snell's law."""
+    sine = tangent / np.sqrt(1.0 + tangent**2) / index
+    return np.asarray(sine / np.sqrt(1.0 - sine**2))
