@@ -26,14 +26,18 @@ from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.hand import HandConfig
 from mrnav_server.core.limits import Limits
 from mrnav_server.core.picture import PictureFormat
+from mrnav_server.devices.micromanager.config import MicroManagerConfig
+from mrnav_server.devices.sensapex.config import SensapexConfig
 from mrnav_server.loops.autopilot import AutopilotConfig
 from mrnav_server.loops.control import ControlConfig
 from mrnav_server.loops.guards import GuardConfig
 from mrnav_server.loops.hand_link import HandLinkConfig
 from mrnav_server.loops.recorder import RecorderConfig
+from mrnav_server.loops.supervisor import SupervisorConfig
 from mrnav_server.loops.trial_marks import TrialConfig
 from mrnav_server.sim.microscope import MicroscopeConfig
 from mrnav_server.sim.world import SimConfig
+from mrnav_server.vision.calibration_plan import CalibrationConfig
 from mrnav_server.vision.tracker import TrackerConfig
 
 DEFAULT_FILE = Path("mrnav.toml")
@@ -84,19 +88,34 @@ class ServerConfig:
 
 @dataclass(frozen=True, slots=True)
 class RigConfig:
-    """Which devices and which vessel model.
+    """Which camera, vessel model and calibration.
 
     Attributes:
-        manipulator: Driver of the manipulator.
-        camera: Driver of the camera; ``usb`` is ``/dev/videoN`` with N from ``camera.index``.
+        camera: Driver of the camera; ``usb`` is ``/dev/videoN`` with N from ``camera.index``,
+            ``micromanager`` the one that section ``micromanager`` names, ``file`` the film ``camera.file``.
         vessel: Name of a vessel model, or a path to its folder.
+        calibration: File that `mrnav calibrate run` has written; None is the simulated rig's own.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
 
-    manipulator: Literal["simulated"] = "simulated"
-    camera: Literal["simulated", "usb"] = "simulated"
+    camera: Literal["simulated", "usb", "micromanager", "file"] = "simulated"
     vessel: str = "bifurcation"
+    calibration: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ManipulatorConfig:
+    """Which manipulator.
+
+    Attributes:
+        driver: ``sensapex-udp`` and ``sensapex-sdk`` are described by section ``sensapex``,
+            ``micromanager`` by the section of that name.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
+
+    driver: Literal["simulated", "sensapex-udp", "sensapex-sdk", "micromanager"] = "simulated"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +123,18 @@ class CameraConfig(PictureFormat):
     """Which camera, and the pictures that it is asked for.
 
     Attributes:
-        index: Number of the device, from 0.
+        index: Number of the USB camera, from 0.
+        exposure_ms: Exposure time of the USB camera in ms, up to 1000; 0 is automatic exposure.
+        gain: Gain of the USB camera in its own units; None leaves it to the camera.
+        file: Video file that camera ``file`` plays.
+        loop: Play that file again and again.
     """
 
     index: Annotated[int, Field(ge=0)] = 0
+    exposure_ms: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    gain: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
+    file: str = ""
+    loop: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +155,11 @@ class Settings(BaseModel):
 
     server: ServerConfig = ServerConfig()
     rig: RigConfig = RigConfig()
+    manipulator: ManipulatorConfig = ManipulatorConfig()
+    sensapex: SensapexConfig = SensapexConfig()
+    micromanager: MicroManagerConfig = MicroManagerConfig()
+    supervisor: SupervisorConfig = SupervisorConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
     camera: CameraConfig = CameraConfig()
     sim: SimConfig = SimConfig()
     microscope: MicroscopeConfig = MicroscopeConfig()
@@ -344,7 +376,22 @@ def _contradictions(values: dict[str, Any]) -> Iterator[str]:
         yield f"server.port and server.hand_port are both {server.port}: choose two ports, or 0 for free ones"
     if server.operator_token is not None and server.operator_token == server.viewer_token:
         yield "server.operator_token and server.viewer_token are equal: choose two"
+    yield from _film_contradictions(values)
     hand_link = values.get("hand_link", {})
     for name, instead in (("host", "server.host"), ("port", "server.hand_port")):
         if isinstance(hand_link, dict) and name in hand_link:
             yield f"hand_link.{name} follows {instead}: set that instead"
+
+
+def _film_contradictions(values: dict[str, Any]) -> Iterator[str]:
+    if _given(values, "rig", "camera") != "file":
+        return
+    if not _given(values, "camera", "file"):
+        yield 'rig.camera = "file" needs camera.file: name a video file'
+    if _given(values, "manipulator", "driver") not in (None, "simulated"):
+        yield 'rig.camera = "file" shows no present robot to steer: set manipulator.driver = "simulated"'
+
+
+def _given(values: dict[str, Any], section: str, name: str) -> object:
+    content = values.get(section)
+    return content.get(name) if isinstance(content, dict) else None

@@ -1,9 +1,9 @@
-"""Guards over every test: none leaves a task running, none blocks the event loop."""
+"""Guards over every test: none leaves a task running, blocks the event loop, or writes to the user's home."""
 
 import asyncio
 import inspect
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 
 import pytest
 
@@ -67,3 +67,11 @@ def _guarded(request: pytest.FixtureRequest) -> None:
 def _ordinary_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep commands that run inside the test process from preferring it over other programs for good."""
     monkeypatch.setattr("mrnav_server.loops.priority._set_priority", lambda *_: False)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _own_state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep the servers of tests, and of processes that they start, apart from the user's own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ MRNAV = (sys.executable, "-m", "mrnav_server.cli.main")
 class RigProcess:
     """``mrnav serve`` on the simulated rig, with a console that keeps the lease alive."""
 
-    def __init__(self, folder: Path, **env: str) -> None:
+    def __init__(self, folder: Path, *, command: Sequence[str] = MRNAV, **env: str) -> None:
         ready = folder / "ready.json"
         self.trials = folder / "trials"
         settings = {
@@ -34,7 +34,7 @@ class RigProcess:
         self._stack = ExitStack()
         self.operator: subprocess.Popen[bytes] | None = None
         self.process = subprocess.Popen(
-            [*MRNAV, "serve", "--ready-file", str(ready)],
+            [*command, "serve", "--ready-file", str(ready)],
             env=os.environ | settings | env,
             stdout=subprocess.DEVNULL,
             stderr=self._stack.enter_context((folder / "stderr.txt").open("w")),
@@ -85,7 +85,10 @@ class RigProcess:
         self.post("/api/v1/mode", {"ask": ask, **fields})
 
     def until(self, condition: Callable[[dict[str, Any]], bool], what: str, timeout_s: float = 30.0) -> None:
-        wait_for(lambda: bool(self.state) and condition(self.state), timeout_s, what)
+        try:
+            wait_for(lambda: bool(self.state) and condition(self.state), timeout_s, what)
+        except AssertionError as error:
+            raise AssertionError(f"{error}; {self.state.get('mode')}: {self.state.get('reason')}") from None
 
     def begin_trial(self) -> str:
         """Take the lease, mark an area, start a trial and arm; return the trial's id."""

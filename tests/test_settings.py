@@ -38,7 +38,7 @@ def fault(file: str | None = None, **env: str) -> str:
 def test_the_defaults_are_a_simulated_rig_for_this_machine_alone() -> None:
     defaults = load_settings(None, {})
     assert defaults == Settings()
-    assert (defaults.rig.manipulator, defaults.rig.camera, defaults.rig.vessel) == (
+    assert (defaults.manipulator.driver, defaults.rig.camera, defaults.rig.vessel) == (
         "simulated",
         "simulated",
         "bifurcation",

@@ -1,17 +1,33 @@
 """The devices on the bench, chosen by settings. Building touches none of them."""
 
+import dataclasses
+import ipaddress
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
-from mrnav_server.core.frames import Calibration
+from mrnav_server.core.errors import ConfigError
+from mrnav_server.core.frames import Calibration, StagePoint
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.devices.base import Camera, Manipulator
 from mrnav_server.devices.cameras import UsbCamera
+from mrnav_server.devices.micromanager.camera import MicroManagerCamera
+from mrnav_server.devices.micromanager.manipulator import MicroManagerManipulator
+from mrnav_server.devices.micromanager.shared_core import SharedCore
+from mrnav_server.devices.sensapex.raw_stop import RawStop
+from mrnav_server.devices.sensapex.sdk import SdkManipulator
+from mrnav_server.devices.sensapex.udp import UdpManipulator
+from mrnav_server.devices.v4l2 import Controls
+from mrnav_server.devices.video_file import VideoFileCamera
 from mrnav_server.settings import Settings
 from mrnav_server.sim.clock import WorldClock
 from mrnav_server.sim.devices import SimulatedCamera, SimulatedManipulator
 from mrnav_server.sim.microscope import Microscope
 from mrnav_server.sim.world import SimulatedWorld
+from mrnav_server.vision.calibration_file import load_calibration
+
+_FOLLOWING_LAG_S = 0.005
+"""How closely the simulated magnet follows a manipulator outside the world: about one reading's age."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +40,7 @@ class Bench:
         calibration: What the server goes by.
         world: The simulated world behind simulated devices; None without them.
         world_clock: Keeps that world on real time.
+        name: What stands here, for people.
     """
 
     manipulator: Manipulator
@@ -31,27 +48,136 @@ class Bench:
     calibration: Calibration
     world: SimulatedWorld | None
     world_clock: WorldClock | None
+    name: str
+
+    @property
+    def stop_path(self) -> RawStop | None:
+        """The way on which another process can stop the manipulator; None without one, or before opening."""
+        if isinstance(self.manipulator, UdpManipulator | SdkManipulator):
+            return self.manipulator.stop_path
+        return None
+
+    @property
+    def camera_format(self) -> str:
+        """What a USB camera or a video file really gives, in words; "" for others, and before opening."""
+        return self.camera.format if isinstance(self.camera, UsbCamera | VideoFileCamera) else ""
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any part of the rig is not the real thing; known for sure once it is open."""
+        path = self.stop_path
+        emulated = path is not None and ipaddress.ip_address(path.target[0]).is_loopback
+        return self.world is not None or emulated
 
 
 def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float]) -> Bench:
     """Build the devices that the settings name.
 
+    A simulated camera beside a real or emulated manipulator shows a world whose magnet follows the position
+    that the manipulator reports.
+
     Args:
-        settings: ``rig.manipulator`` and ``rig.camera`` choose the drivers, ``camera`` the picture.
+        settings: ``manipulator.driver`` and ``rig.camera`` choose the drivers, ``camera`` the picture.
         vessel: The vessel model.
         clock: Monotonic time in seconds.
     """
-    world = SimulatedWorld(settings.sim, vessel, settings.camera)
-    if settings.rig.camera == "usb":
-        camera: Camera = build_usb_camera(settings, clock)
+    follows = settings.manipulator.driver != "simulated"
+    sim = dataclasses.replace(settings.sim, manipulator_lag_s=_FOLLOWING_LAG_S) if follows else settings.sim
+    world = SimulatedWorld(sim, vessel, settings.camera)
+    core = SharedCore(settings.micromanager)
+    manipulator = build_manipulator(settings, clock, core) if follows else SimulatedManipulator(world)
+
+    def reported_tip() -> StagePoint:
+        return manipulator.tip().position
+
+    if settings.rig.camera == "simulated":
+        camera: Camera = _simulated_camera(settings, vessel, world, clock)
     else:
-        camera = _simulated_camera(settings, vessel, world, clock)
-    return Bench(SimulatedManipulator(world), camera, world.calibration, world, WorldClock(world, clock))
+        camera = build_camera(settings, clock, core)
+    needs_world = "simulated" in (settings.manipulator.driver, settings.rig.camera)
+    return Bench(
+        manipulator,
+        camera,
+        _calibration(settings, vessel, world),
+        world if needs_world else None,
+        WorldClock(world, clock, reported_tip if follows else None) if needs_world else None,
+        _name(settings),
+    )
+
+
+def build_manipulator(
+    settings: Settings, clock: Callable[[], float], core: SharedCore | None = None
+) -> Manipulator:
+    """Build the manipulator that ``manipulator.driver`` names, which is not the simulated one.
+
+    Args:
+        settings: Sections ``sensapex`` and ``micromanager`` describe it.
+        clock: Monotonic time in seconds.
+        core: Micro-Manager's core that a camera shares with it; one of its own if left out.
+
+    Raises:
+        ValueError: If the driver is the simulated one, which needs a world.
+    """
+    match settings.manipulator.driver:
+        case "sensapex-udp":
+            return UdpManipulator(settings.sensapex, clock)
+        case "sensapex-sdk":
+            return SdkManipulator(settings.sensapex, clock)
+        case "micromanager":
+            core = core or SharedCore(settings.micromanager)
+            return MicroManagerManipulator(settings.micromanager, core, clock)
+        case "simulated":
+            raise ValueError("the simulated manipulator belongs to a simulated world")
+
+
+def build_camera(
+    settings: Settings, clock: Callable[[], float], core: SharedCore | None = None
+) -> UsbCamera | VideoFileCamera | MicroManagerCamera:
+    """Build the camera that ``rig.camera`` names, which is not the simulated one.
+
+    Args:
+        settings: Sections ``camera`` and ``micromanager`` describe it.
+        clock: Monotonic time in seconds.
+        core: Micro-Manager's core that a manipulator shares with it; one of its own if left out.
+
+    Raises:
+        ValueError: If the camera is the simulated one, which needs a world.
+    """
+    match settings.rig.camera:
+        case "usb":
+            return build_usb_camera(settings, clock)
+        case "file":
+            film = settings.camera
+            return VideoFileCamera(Path(film.file), film, clock, loop=film.loop)
+        case "micromanager":
+            core = core or SharedCore(settings.micromanager)
+            return MicroManagerCamera(settings.micromanager, settings.camera, core, clock)
+        case "simulated":
+            raise ValueError("the simulated camera belongs to a simulated world")
 
 
 def build_usb_camera(settings: Settings, clock: Callable[[], float]) -> UsbCamera:
     """Build the USB camera that ``camera`` describes, chosen or not."""
-    return UsbCamera(settings.camera.index, settings.camera, clock)
+    asked = settings.camera
+    controls = Controls(asked.exposure_ms, asked.gain)
+    return UsbCamera(asked.index, asked, clock, controls)
+
+
+def _calibration(settings: Settings, vessel: VesselMap, world: SimulatedWorld) -> Calibration:
+    """Return what the server goes by: a measured calibration, or what the simulator knows of itself.
+
+    Raises:
+        ConfigError: If the file cannot be used, or real devices have none.
+    """
+    if settings.rig.calibration is not None:
+        simulated = settings.rig.camera == "simulated"
+        return load_calibration(Path(settings.rig.calibration), settings.camera, vessel, simulated=simulated)
+    if "simulated" not in (settings.manipulator.driver, settings.rig.camera):
+        raise ConfigError(
+            "rig.calibration: a manipulator under a real camera needs a measured calibration: run"
+            " `mrnav calibrate run` and name its file"
+        )
+    return world.calibration
 
 
 def _simulated_camera(
@@ -59,6 +185,13 @@ def _simulated_camera(
 ) -> SimulatedCamera:
     sim, picture = settings.sim, settings.camera
     microscope = Microscope(
-        settings.microscope, picture, sim.magnets, vessel, world.true_calibration, sim.seed
+        settings.microscope, picture, sim.magnets, vessel, world.true_calibration, sim.seed, world.optics
     )
     return SimulatedCamera(sim, picture, world.snapshot, microscope.render, clock)
+
+
+def _name(settings: Settings) -> str:
+    driver, camera = settings.manipulator.driver, settings.rig.camera
+    if driver == camera == "simulated":
+        return "simulated rig"
+    return f"{driver} manipulator, {camera} camera"

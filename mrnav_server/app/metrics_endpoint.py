@@ -36,8 +36,8 @@ class RigCollector(Collector):
 
     def collect(self) -> Iterator[GaugeMetricFamily | CounterMetricFamily]:
         """Yield the figures; called by the registry."""
-        simulated = self._rig.settings.rig.manipulator == "simulated"
-        yield GaugeMetricFamily("mrnav_simulated", "1 on a simulated manipulator", float(simulated))
+        simulated = float(self._rig.simulated)
+        yield GaugeMetricFamily("mrnav_simulated", "1 while any device is simulated or emulated", simulated)
         yield GaugeMetricFamily("mrnav_ready", "1 when the rig is ready", float(not self._rig.readiness()))
         clients = GaugeMetricFamily("mrnav_clients", "Connected clients", labels=["stream"])
         dropped = CounterMetricFamily("mrnav_slow_readers", "Clients dropped as slow", labels=["stream"])

@@ -18,6 +18,7 @@ from mrnav_server.app.console_desk import ConsoleDesk
 from mrnav_server.app.hand_seat import HandSeat
 from mrnav_server.app.herald import Herald
 from mrnav_server.app.navigator import Navigator
+from mrnav_server.app.supervision import come_to_rest, supervised, tell_earlier_stops
 from mrnav_server.app.telemetry import Telemetry
 from mrnav_server.app.trial_desk import TrialDesk
 from mrnav_server.core import wire_twin
@@ -40,6 +41,7 @@ from mrnav_server.loops.tracking import TrackingLoop
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
 from mrnav_server.sim.clock import WorldClock
+from mrnav_server.vision.frame_watch import FrameWatch
 from mrnav_server.vision.model_store import find_model
 from mrnav_server.vision.tracker import Tracker
 from mrnav_server.vision.vessel_model import load_vessel_model
@@ -63,8 +65,8 @@ class Rig:
     def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
         self.settings = settings
         self._clock = clock
-        root = Path(settings.recording.root).absolute()
-        self._recorder = Recorder(root, clock, settings.recording)
+        self._root = Path(settings.recording.root).absolute()
+        self._recorder = Recorder(self._root, clock, settings.recording)
         self.events = EventBus()
         self.herald = Herald(self.events, self._recorder, clock)
         self.vessel = load_vessel_model(find_model(settings.rig.vessel))
@@ -94,7 +96,7 @@ class Rig:
         )
         self.trials = TrialDesk(
             settings,
-            root,
+            self._root,
             self._recorder,
             self.vessel,
             self.bench,
@@ -126,6 +128,8 @@ class Rig:
             clock=clock,
         )
         self.control.recorder_fault = lambda: self._recorder.fault or ""
+        self.control.camera_fault = lambda: self._camera_fault
+        self.control.device_warnings = self.bench.manipulator.warnings
         self._tokens = Tokens(settings.server)
         self._hand_link = HandLinkServer(
             dataclasses.replace(
@@ -160,13 +164,13 @@ class Rig:
 
     @property
     def simulated(self) -> bool:
-        """Whether the simulator stands in for the devices."""
-        return self.bench.world is not None
+        """Whether the simulator, or an emulated controller, stands in for a device."""
+        return self.bench.simulated
 
     def snapshot(self, session: str, role: str) -> dict[str, Any]:
         """Return the first message of a twin client."""
         card = wire_twin.RigCard(
-            name="simulated rig" if self.simulated else "rig",
+            name=self.bench.name,
             simulated=self.simulated,
             vessel=self.vessel,
             calibration=self.calibration,
@@ -214,15 +218,39 @@ class Rig:
         # Once all that computes is loaded: a limit does not hold for what is loaded after it.
         compute_in_calling_threads()
         self._recorder.recover()
+        tell_earlier_stops(self._root)
         manipulator, camera = self.bench.manipulator, self.bench.camera
         try:
-            camera.open()
+            await asyncio.to_thread(camera.open)
             await manipulator.open()
         except DeviceError as error:
             camera.close()
             raise ConfigError(f"cannot start the rig: {error}") from None
+        try:
+            async with supervised(
+                self.settings, self.bench, self.control, self.herald, self._root, self._clock
+            ):
+                try:
+                    await self._run_loops(started)
+                finally:
+                    self._running = False
+                    manipulator.stop()
+                    self.herald.announce("rig_stopped", {"mode": self.control.machine.mode.value})
+                    await come_to_rest(
+                        self.bench, self.settings.guards.tip_age_s, self.control.beat, self._clock
+                    )
+        finally:
+            async with asyncio.timeout(_CLOSE_S):
+                await asyncio.shield(manipulator.close())
+                await asyncio.shield(self._recorder.end_trial())
+            self.navigator.close()
+
+    async def _run_loops(self, started: asyncio.Event) -> None:
+        """Run every loop until cancelled, or until one fails."""
+        tracker = Tracker(self.settings.tracker, self.calibration)
+        watch = FrameWatch(self.settings.camera.fps, self.settings.tracker.darkest_gray)
         tracking = TrackingLoop(
-            camera, Tracker(self.settings.tracker, self.calibration), self._on_track, self._on_camera
+            self.bench.camera, tracker, self._on_track, self._on_camera, watch, self._clock
         )
         try:
             async with asyncio.TaskGroup() as group:
@@ -240,14 +268,6 @@ class Rig:
                 started.set()
         except* ConfigError as errors:
             raise errors.exceptions[0] from None
-        finally:
-            self._running = False
-            manipulator.stop()
-            self.herald.announce("rig_stopped", {"mode": self.control.machine.mode.value})
-            async with asyncio.timeout(_CLOSE_S):
-                await asyncio.shield(manipulator.close())
-                await asyncio.shield(self._recorder.end_trial())
-            self.navigator.close()
 
     async def _run_world(self, clock: WorldClock) -> None:
         async for _ in ticks(_WORLD_STEP_S, self._clock):

@@ -105,6 +105,10 @@ class RigPort(Protocol):
         """The trials."""
 
     @property
+    def simulated(self) -> bool:
+        """Whether any device is simulated or emulated."""
+
+    @property
     def hand_port(self) -> int:
         """The hand link's port, once started."""
 

@@ -8,16 +8,15 @@ import socket
 import ssl
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 
-import orjson
 import uvicorn
 from fastapi import FastAPI
 
 from mrnav_server.app import connections
+from mrnav_server.app.ready import Ready, announced, own_file
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.server import create_app
 from mrnav_server.core.errors import ConfigError
@@ -27,25 +26,6 @@ from mrnav_server.settings import ServerConfig, Settings
 _SWITCH_INTERVAL_S = 0.0005
 _GRACE_S = 2
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Ready:
-    """What a client needs to come in.
-
-    Attributes:
-        url: The page, with the operator's token.
-        port: Page, WebSockets, video and REST.
-        hand_port: Hand link.
-        operator_token: Lets its bearer control the rig.
-        viewer_token: Lets its bearer watch, and stop.
-    """
-
-    url: str
-    port: int
-    hand_port: int
-    operator_token: str
-    viewer_token: str
 
 
 class RigServer(uvicorn.Server):
@@ -91,9 +71,6 @@ def serve(
             if config is None:
                 raise
             raise _leaf(config) from None
-        finally:
-            if ready_file is not None:
-                ready_file.unlink(missing_ok=True)
 
 
 async def _process(
@@ -117,14 +94,18 @@ async def _process(
         await started.wait()
         listener.listen()
         ready = _ready(settings.server, listener, rig.hand_port)
+        try:
+            files.enter_context(announced(ready, own_file()))
+        except OSError as error:
+            _log.warning("`mrnav stop` will not find this server: %s", error)
         if ready_file is not None:
-            _write_privately(ready_file, orjson.dumps(ready) + b"\n")
+            files.enter_context(announced(ready, ready_file))
         announce(ready)
         if not preferred:
             _log.info("the system gives the rig no preference over other programs: keep this machine idle")
         await server.serve([listener])
 
-    with _stop_signals() as stop:
+    with _stop_signals() as stop, ExitStack() as files:
         try:
             async with asyncio.TaskGroup() as process:
                 moving = process.create_task(run_rig(), name="rig")
@@ -210,14 +191,6 @@ def _ready(config: ServerConfig, listener: socket.socket, hand_port: int) -> Rea
     host = f"[{host}]" if ":" in host else host
     operator, viewer = config.operator_token or "", config.viewer_token or ""
     return Ready(f"{scheme}://{host}:{port}/?token={operator}", port, hand_port, operator, viewer)
-
-
-def _write_privately(file: Path, content: bytes) -> None:
-    """Write a file that appears whole and that this user alone can read."""
-    part = file.with_name(f".{file.name}.{os.getpid()}")
-    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as out:
-        out.write(content)
-    part.replace(file)
 
 
 @contextmanager

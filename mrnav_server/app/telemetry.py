@@ -100,7 +100,7 @@ class Telemetry:
             track_age_ms=1000.0 * (now_s - track.taken_s) if track else 0.0,
             mode=machine.mode,
             severity=machine.severity(facts),
-            reason=machine.reason or facts.warning,
+            reason="; ".join(filter(None, (machine.reason, facts.warning))),
             authority=0.0 if machine.mode is Mode.AUTO else 1.0,
             lease=self._lease.state(),
             clutch=self._hand.clutch,

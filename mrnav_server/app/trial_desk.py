@@ -80,7 +80,7 @@ class TrialDesk:
             participant=participant,
             condition=condition,
             operator_kind=operator_kind,
-            simulated_rig=self._bench.world is not None,
+            simulated_rig=self._bench.simulated,
             software_version=__version__,
             configuration_sha256=self._settings.digest(),
             vessel=self._vessel.name,
@@ -113,7 +113,7 @@ class TrialDesk:
             "id": trial_id,
             "final_distance_um": self._control.distance_um,
             "latency_ms": self._telemetry.summary(),
-            "simulated": self._bench.world is not None,
+            "simulated": self._bench.simulated,
         }
         if self._bench.world is not None:
             truth = self._bench.world

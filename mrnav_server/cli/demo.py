@@ -8,11 +8,11 @@ import signal
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from http import HTTPStatus
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -21,6 +21,7 @@ from rich.console import Console
 from mrnav_server.cli.children import Child, mrnav_child
 from mrnav_server.cli.console import State, TrialFailedError, TwinConsole
 from mrnav_server.cli.demo_result import Tally, empty_result, note_end, note_states, result_table
+from mrnav_server.cli.emulated import emulated_controller
 from mrnav_server.cli.rest import Rest, RestError
 from mrnav_server.core.errors import MrnavError
 from mrnav_server.core.frames import VesselPoint
@@ -42,6 +43,10 @@ _RANDOM_SITES = 6
 def demo(
     model: Annotated[str, typer.Option(help="Vessel model: a name or a folder.")] = "bifurcation",
     seed: Annotated[int, typer.Option(min=0, help="Seed of rig, target and operator.")] = 0,
+    manipulator: Annotated[
+        Literal["simulated", "sensapex-udp", "sensapex-sdk"] | None,
+        typer.Option(help="Driver; sensapex drives an emulated controller. The settings' if left out."),
+    ] = None,
     json_output: Annotated[
         bool, typer.Option("--json", help="Print one JSON object as the last line.")
     ] = False,
@@ -53,7 +58,7 @@ def demo(
     signal.signal(signal.SIGTERM, _exit)
     root = trials or Path(tempfile.mkdtemp(prefix="mrnav-demo-"))
     root.mkdir(parents=True, exist_ok=True)
-    result = _run(model, seed, root.resolve(), keep_open)
+    result = _run(model, seed, root.resolve(), keep_open, manipulator)
     page = Console(stderr=json_output, highlight=False)
     page.print(result_table(result))
     page.print(f"modes: {' → '.join(result['mode_history'])}")
@@ -96,7 +101,7 @@ def choose_site(vessel: VesselMap, start: VesselPoint, seed: int) -> VesselPoint
     return sites[int(rng.integers(len(sites)))]
 
 
-def _run(model: str, seed: int, root: Path, keep_open: bool) -> dict[str, Any]:
+def _run(model: str, seed: int, root: Path, keep_open: bool, manipulator: str | None) -> dict[str, Any]:
     from mrnav_server.vision.model_store import find_model
     from mrnav_server.vision.vessel_model import load_vessel_model
 
@@ -110,12 +115,23 @@ def _run(model: str, seed: int, root: Path, keep_open: bool) -> dict[str, Any]:
         "MRNAV_RECORDING__ROOT": str(root),
         "MRNAV_SIM__SEED": str(seed),
     }
-    with tempfile.TemporaryDirectory(prefix="mrnav-demo-") as scratch_name, say.status("starting") as status:
+    if manipulator is not None:
+        env["MRNAV_MANIPULATOR__DRIVER"] = manipulator
+    with (
+        tempfile.TemporaryDirectory(prefix="mrnav-demo-") as scratch_name,
+        say.status("starting") as status,
+        ExitStack() as emulation,
+    ):
         scratch = Path(scratch_name)
         ready_file = scratch / "ready.json"
         serve = ["serve", "--ready-file", str(ready_file)]
         try:
             vessel = load_vessel_model(find_model(model))
+            if manipulator in ("sensapex-udp", "sensapex-sdk"):
+                env |= emulation.enter_context(emulated_controller(env, scratch))
+                say.print(
+                    f"{manipulator}: an emulated controller on UDP group {env['MRNAV_SENSAPEX__GROUP']}"
+                )
             with mrnav_child("the server", serve, env, scratch / "serve") as server:
                 ready = _ready(ready_file, server)
                 url, token = f"http://127.0.0.1:{ready['port']}", ready["operator_token"]

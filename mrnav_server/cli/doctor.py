@@ -1,5 +1,7 @@
 """``mrnav doctor``: what works on this machine, what does not, and what to do about it."""
 
+import asyncio
+import ipaddress
 import json
 import os
 import platform
@@ -76,7 +78,7 @@ def examine(config: Path | None) -> Iterator[Check]:
     yield _attempt("pages", _pages)
     for name, port in (("port", settings.server.port), ("hand port", settings.server.hand_port)):
         yield _attempt(name, lambda port=port: _port(settings.server.host, port))  # type: ignore[misc]
-    yield Check("manipulator", ok=True, found=settings.rig.manipulator)
+    yield from _manipulator(settings)
     yield _attempt("camera", lambda: _camera(settings))
 
 
@@ -133,6 +135,42 @@ def _port(host: str, port: int) -> str:
 
     with bound_socket(host, port):
         return f"{host} port {port} is free" if port else "a free port is taken at start"
+
+
+def _manipulator(settings: "Settings") -> Iterator[Check]:
+    """Find the manipulator that the settings name, and what else answers on its network; nothing moves."""
+    from mrnav_server.app.bench import build_manipulator
+
+    driver = settings.manipulator.driver
+    if driver == "simulated":
+        yield Check("manipulator", ok=True, found="simulated")
+        return
+    if driver.startswith("sensapex"):
+        yield from _controllers(settings)
+    manipulator = build_manipulator(settings, time.monotonic)
+
+    async def look() -> str:
+        await manipulator.open()
+        try:
+            tip = manipulator.tip().position
+        finally:
+            await manipulator.close()
+        return f"{driver} reads X, Y, Z = {tip.x_um:.1f}, {tip.y_um:.1f}, {tip.z_um:.1f} µm"
+
+    yield _attempt("manipulator", lambda: asyncio.run(look()))
+
+
+def _controllers(settings: "Settings") -> Iterator[Check]:
+    """List every Sensapex device that answers; none is a fault that opening the manipulator explains."""
+    from mrnav_server.devices.sensapex.discovery import LINK_LOCAL, LOOPBACK, discover
+
+    sensapex = settings.sensapex
+    addresses = [sensapex.address] if sensapex.address else [LINK_LOCAL, LOOPBACK]
+    for found in asyncio.run(discover(addresses, sensapex.port, time.monotonic)):
+        at = ", ".join(f"{axis_um:.0f}" for axis_um in found.position_um) or "an unknown position"
+        emulated = " (emulated)" if ipaddress.ip_address(found.address).is_loopback else ""
+        seen = f"{found.address}{emulated}, firmware {found.version}, {found.axes} axes"
+        yield Check(f"device {found.device_id}", ok=True, found=f"{seen}, at {at} of 0..20000 µm")
 
 
 def _camera(settings: "Settings") -> str:

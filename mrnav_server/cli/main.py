@@ -8,29 +8,32 @@ from rich.console import Console
 
 from mrnav_server import __version__
 from mrnav_server.cli.bench import bench
+from mrnav_server.cli.calibrate import calibrate
 from mrnav_server.cli.demo import demo
 from mrnav_server.cli.doctor import doctor
+from mrnav_server.cli.emulate import emulate
 from mrnav_server.cli.evaluate import evaluate
 from mrnav_server.cli.figure import curves, discount, trajectories
-from mrnav_server.cli.map import generate
+from mrnav_server.cli.map import models
 from mrnav_server.cli.operate import operate
 from mrnav_server.cli.policy import policies
 from mrnav_server.cli.report import report
 from mrnav_server.cli.serve import serve
+from mrnav_server.cli.stop import stop
 from mrnav_server.cli.sweep import sweep
 from mrnav_server.cli.train import train
 from mrnav_server.core.errors import ConfigError, MrnavError
 
-_EXTRAS = {"gymnasium": "train", "matplotlib": "study"}
+_EXTRAS = {"gymnasium": "train", "matplotlib": "study", "skimage": "vessels"}
 """Packages that only some commands need, and the extra that brings them."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
-for command in (serve, demo, operate, doctor, train, sweep, evaluate, report, bench):
+for command in (serve, stop, demo, operate, doctor, train, sweep, evaluate, report, bench):
     app.command()(command)
-models = typer.Typer(no_args_is_help=True, help="Vessel models.")
-models.command()(generate)
 app.add_typer(models, name="map")
 app.add_typer(policies, name="policy")
+app.add_typer(calibrate, name="calibrate")
+app.add_typer(emulate, name="emulate")
 figures = typer.Typer(no_args_is_help=True, help="The figures of the learning results (simulated).")
 for figure in (curves, trajectories, discount):
     figures.command()(figure)

@@ -1,9 +1,10 @@
 """A small client of the server's REST interface, for the commands that talk to a running server."""
 
 import json
+import ssl
 from typing import Any
 from urllib.error import HTTPError, URLError
-from urllib.request import ProxyHandler, Request, build_opener
+from urllib.request import HTTPSHandler, ProxyHandler, Request, build_opener
 
 from mrnav_server.core.errors import MrnavError
 
@@ -31,16 +32,24 @@ class Rest:
         token: Sent as ``Authorization: Bearer``.
         session: Names the sender towards the lease; None is one session per role.
         timeout_s: Longest wait for an answer.
+        context: How a server over TLS is checked; None trusts what this machine trusts.
     """
 
-    def __init__(self, url: str, token: str, session: str | None = None, timeout_s: float = 15.0) -> None:
+    def __init__(
+        self,
+        url: str,
+        token: str,
+        session: str | None = None,
+        timeout_s: float = 15.0,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
         self._timeout_s = timeout_s
         self._url = url.rstrip("/")
         self._headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
         if session is not None:
             self._headers["X-MRNAV-Session"] = session
         # A proxy of the environment knows nothing of a server on this machine.
-        self._opener = build_opener(ProxyHandler({}))
+        self._opener = build_opener(ProxyHandler({}), HTTPSHandler(context=context))
 
     def get(self, path: str) -> Any:  # noqa: ANN401 - JSON has no narrower type
         """Return the answer to GET, parsed.

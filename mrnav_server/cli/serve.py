@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 if TYPE_CHECKING:
-    from mrnav_server.app.serve import Ready
+    from mrnav_server.app.ready import Ready
 
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", help="TOML file with settings; ./mrnav.toml if there is one.")
@@ -34,7 +34,7 @@ def serve(
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     settings = load_settings(config, os.environ)
-    simulated = settings.rig.manipulator == "simulated"
+    simulated = settings.manipulator.driver == settings.rig.camera == "simulated"
 
     def announce(ready: "Ready") -> None:
         console = Console(soft_wrap=True, highlight=False)

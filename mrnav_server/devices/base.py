@@ -42,6 +42,9 @@ class Manipulator(Protocol):
     def stop(self) -> None:
         """Stop all axes now. Waits behind nothing, safe at any time."""
 
+    def warnings(self) -> list[str]:
+        """Return what the operator should know of the device though it works, in plain sentences."""
+
 
 class Camera(Protocol):
     """A camera read by one worker thread."""

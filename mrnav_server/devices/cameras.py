@@ -6,48 +6,20 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
 
-from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.errors import DeviceError
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame
 from mrnav_server.devices.grabber import FrameGrabber
+from mrnav_server.devices.pictures import RateMeter, is_another_rate, to_bgr
+from mrnav_server.devices.v4l2 import AUTOMATIC, Capture, Controls, choose_mode, open_capture, set_controls
 
 _OPEN_S = 5.0
 _CLOSE_S = 0.5
-_RATE_TOLERANCE_FPS = 0.5
-_MJPG = cv2.VideoWriter.fourcc(*"MJPG")
 _log = logging.getLogger(__name__)
-
-
-class Capture(Protocol):
-    """An opened ``cv2.VideoCapture``."""
-
-    def set(self, propId: int, value: float) -> bool:  # noqa: N803 - OpenCV's name
-        """Ask for a property; tells whether the driver takes it."""
-
-    def get(self, propId: int) -> float:  # noqa: N803 - OpenCV's name
-        """Return a property; 0 or less where the driver does not tell."""
-
-    def grab(self) -> bool:
-        """Wait for the next picture; False if there is none."""
-
-    def retrieve(self) -> tuple[bool, object]:
-        """Decode the picture that was grabbed."""
-
-    def release(self) -> None:
-        """Give the camera back."""
-
-
-def open_capture(index: int) -> Capture | None:
-    """Open a camera through V4L2; None if that fails. OpenCV's own lines on stderr are silenced."""
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    capture = cv2.VideoCapture(index, cv2.CAP_V4L2)
-    return capture if capture.isOpened() else None
 
 
 class UsbCamera:
@@ -60,13 +32,15 @@ class UsbCamera:
     Frames are stamped right after ``grab`` returns. That is later than the exposure by read-out and transfer,
     about one frame period, which V4L2 does not tell; it is never earlier.
 
-    Motion JPEG is preferred: USB 2 does not carry 1600×1200 at 30 fps uncompressed. A camera without it
-    delivers what it has.
+    Raw pictures are preferred where the camera promises them at the size and rate that are asked for, which
+    takes USB 3 at 1600×1200 and 30 fps; Motion JPEG otherwise. The rate is measured over the first frames,
+    since a camera in poor light keeps its exposure rather than its promise.
 
     Args:
         index: N of ``/dev/videoN``.
-        picture: What to ask for. Another size is refused, another rate is logged and taken.
+        picture: What to ask for. Another size is refused, another rate is named and taken.
         clock: Monotonic time in seconds.
+        controls: Exposure and gain.
         open_capture: Opens the camera with that index; None if it cannot be opened.
         devices: Folder that holds ``videoN``.
         open_timeout_s: How long opening may take, first picture included.
@@ -77,6 +51,7 @@ class UsbCamera:
         index: int,
         picture: PictureFormat,
         clock: Callable[[], float],
+        controls: Controls = AUTOMATIC,
         open_capture: Callable[[int], Capture | None] = open_capture,
         devices: Path = Path("/dev"),
         open_timeout_s: float = _OPEN_S,
@@ -84,11 +59,18 @@ class UsbCamera:
         self._index = index
         self._asked = picture
         self._clock = clock
+        self._controls = controls
         self._open_capture = open_capture
         self._node = devices / f"video{index}"
         self._open_timeout_s = open_timeout_s
         self._name = f"USB camera {index}"
+        self._format = ""
         self._grabber: FrameGrabber | None = None
+
+    @property
+    def format(self) -> str:
+        """What the camera really gives, in words; "" before it was opened. The rate is measured by and by."""
+        return self._format
 
     def open(self) -> None:
         """Acquire the camera and wait for its first picture.
@@ -130,61 +112,46 @@ class UsbCamera:
         if capture is None:
             raise DeviceError(self._why_not())
         try:
-            self._ask(capture)
-            for number in itertools.count():
-                grabbed = capture.grab()
-                taken_s = self._clock()
-                if ending.is_set():
-                    return
-                if not grabbed:
-                    raise DeviceError(f"{self._name} gives no more pictures: is {self._node} pulled out?")
-                decoded, image = capture.retrieve()
-                if not decoded:
-                    continue
-                frame = Frame(number, taken_s, self._picture(np.asarray(image)))
-                if number == 0:
-                    self._tell_rate(capture)
-                yield frame
+            yield from self._grab(capture, ending)
         except cv2.error as error:
             raise DeviceError(f"{self._name} failed: {error}") from None
         finally:
             capture.release()
 
-    def _ask(self, capture: Capture) -> None:
-        for wish, value in (
-            (cv2.CAP_PROP_FOURCC, _MJPG),
-            (cv2.CAP_PROP_FRAME_WIDTH, self._asked.width_px),
-            (cv2.CAP_PROP_FRAME_HEIGHT, self._asked.height_px),
-            (cv2.CAP_PROP_FPS, self._asked.fps),
-            (cv2.CAP_PROP_BUFFERSIZE, 1),
-        ):
-            capture.set(wish, value)
+    def _grab(self, capture: Capture, ending: threading.Event) -> Iterator[Frame]:
+        mode = choose_mode(capture, self._asked)
+        controls = set_controls(capture, self._controls, self._name)
+        self._format = ", ".join(filter(None, (str(mode), controls)))
+        meter = RateMeter()
+        for number in itertools.count():
+            grabbed = capture.grab()
+            taken_s = self._clock()
+            if ending.is_set():
+                return
+            if not grabbed:
+                raise DeviceError(f"{self._name} gives no more pictures: is {self._node} pulled out?")
+            decoded, image = capture.retrieve()
+            fps = meter.add(taken_s)
+            if fps is not None:
+                self._tell_rate(fps)
+            if not decoded:
+                continue
+            frame = Frame(number, taken_s, to_bgr(np.asarray(image), self._asked, self._name))
+            if number == 0:
+                _log.info("%s: %s", self._name, self._format)
+            yield frame
 
-    def _tell_rate(self, capture: Capture) -> None:
-        fps = capture.get(cv2.CAP_PROP_FPS)
-        if abs(fps - self._asked.fps) > _RATE_TOLERANCE_FPS:
-            given = f"gives {fps:g} fps" if fps > 0 else "does not tell its rate"
-            _log.warning("%s %s; asked for %g fps", self._name, given, self._asked.fps)
-
-    def _picture(self, image: ByteArray) -> ByteArray:
-        """Return a picture as BGR, shape (height, width, 3), uint8; refuse any other size and kind."""
-        height_px, width_px = image.shape[:2]
-        asked = self._asked
-        if (width_px, height_px) != (asked.width_px, asked.height_px):
-            raise DeviceError(
-                f"{self._name} gives pictures of {width_px}×{height_px} px; asked for "
-                f"{asked.width_px}×{asked.height_px}: set camera.width_px = {width_px} and "
-                f"camera.height_px = {height_px}, or take a camera that has this size"
+    def _tell_rate(self, fps: float) -> None:
+        self._format += f", measured {fps:.1f} fps"
+        if is_another_rate(fps, self._asked):
+            fault = f"gives {fps:.1f} fps, not {self._asked.fps:g}"
+            remedy = (
+                "lower camera.exposure_ms or add light, and use a USB 3 port of its own"
+                if fps < self._asked.fps
+                else f"set camera.fps = {fps:.0f}"
             )
-        channels = 1 if image.ndim == 2 else image.shape[2]
-        if image.dtype != np.uint8 or channels not in (1, 3):
-            kind = f"{channels} channels of {image.dtype}"
-            raise DeviceError(
-                f"{self._name} gives pictures of {kind}: take one that gives 8-bit gray or colour"
-            )
-        if channels == 1:
-            return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR).astype(np.uint8, copy=False)
-        return image
+            self._format += f": {remedy}"
+            _log.warning("%s %s: %s", self._name, fault, remedy)
 
     def _why_not(self) -> str:
         asked = f"{self._name} cannot be opened"

@@ -82,6 +82,10 @@ class SimulatedManipulator:
         if self._last is None:
             self._world.stop()
 
+    def warnings(self) -> list[str]:
+        """Return nothing: what fails here fails openly."""
+        return []
+
     def fail(self) -> None:
         """Simulate a device that reports a failure: readings and moves raise; ``stop`` still works."""
         self._failed = True

@@ -101,6 +101,7 @@ class FakeRig:
         self.events = EventBus()
         self.areas = CriticalAreas(self.vessel)
         self.hand_port = 0
+        self.simulated = True
         self.asked: list[tuple[str, ...]] = []
         self.refusal: RefusedError | None = None
         self.not_ready: list[str] = []

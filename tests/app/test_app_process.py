@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from mrnav_server.app.serve import Ready, bound_socket, serve
+from mrnav_server.app.ready import Ready
+from mrnav_server.app.serve import bound_socket, serve
 from mrnav_server.core.errors import ConfigError, DeviceError
 from mrnav_server.settings import Settings
 from tests.app.fake_rig import OPERATOR_TOKEN, SETTINGS, VIEWER_TOKEN, FakeRig

@@ -2,7 +2,7 @@
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 
 import cv2
 
@@ -12,13 +12,25 @@ PULLED_OUT = None
 
 
 class FakeCapture:
-    """Grabbing waits for the next picture that is given, and takes until the time that is given with it."""
+    """Grabbing waits for the next picture that is given, and takes until the time that is given with it.
 
-    def __init__(self, *pictures: ByteArray | str | None, fps: float = 30.0) -> None:
+    Args:
+        pictures: Given at once.
+        modes: Width, height and rate by pixel format; an unknown format falls back to the first.
+        refuses: Properties that the driver does not take.
+    """
+
+    def __init__(
+        self,
+        *pictures: ByteArray | str | None,
+        modes: Mapping[str, tuple[int, int, float]] | None = None,
+        refuses: Collection[int] = (),
+    ) -> None:
         self.asked: dict[int, float] = {}
+        self._modes = modes or {"MJPG": (80, 64, 30.0)}
+        self._refuses = refuses
         self.now_s = 0.0
         self.released = threading.Event()
-        self._fps = fps
         self._given: queue.Queue[tuple[float, ByteArray | str | None]] = queue.Queue()
         self._grabbed: ByteArray | str | None = None
         self._last: ByteArray | str | None = PULLED_OUT
@@ -41,12 +53,28 @@ class FakeCapture:
         self._flowing = True
         self.give(self._last)
 
+    @property
+    def code(self) -> str:
+        """The pixel format that it is set to."""
+        number = int(self.asked.get(cv2.CAP_PROP_FOURCC, 0))
+        asked = number.to_bytes(4, "little").decode()
+        return asked if asked in self._modes else next(iter(self._modes))
+
     def set(self, propId: int, value: float) -> bool:
+        if propId in self._refuses:
+            return False
         self.asked[propId] = value
         return True
 
     def get(self, propId: int) -> float:
-        return self._fps if propId == cv2.CAP_PROP_FPS else -1.0
+        width_px, height_px, fps = self._modes[self.code]
+        known = {
+            cv2.CAP_PROP_FOURCC: cv2.VideoWriter.fourcc(*self.code),
+            cv2.CAP_PROP_FRAME_WIDTH: width_px,
+            cv2.CAP_PROP_FRAME_HEIGHT: height_px,
+            cv2.CAP_PROP_FPS: fps,
+        }
+        return known.get(propId, self.asked.get(propId, -1.0))
 
     def grab(self) -> bool:
         if not self._first:

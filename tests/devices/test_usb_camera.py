@@ -15,7 +15,8 @@ from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.errors import DeviceError, DeviceTimeoutError
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame, Track, TrackState
-from mrnav_server.devices.cameras import UsbCamera, open_capture
+from mrnav_server.devices.cameras import UsbCamera
+from mrnav_server.devices.v4l2 import AUTOMATIC, Controls, open_capture
 from mrnav_server.loops import tracking
 from mrnav_server.settings import CameraConfig, RigConfig, Settings
 from mrnav_server.vision.model_store import find_model
@@ -38,9 +39,11 @@ def plug(tmp_path: Path) -> Iterator[Plug]:
     """Make cameras with index 3; whatever they hold is given back at the end."""
     made: list[tuple[UsbCamera, tuple[FakeCapture | None, ...]]] = []
 
-    def make(*captures: FakeCapture | None, open_timeout_s: float = WAIT_S) -> UsbCamera:
+    def make(
+        *captures: FakeCapture | None, open_timeout_s: float = WAIT_S, controls: Controls = AUTOMATIC
+    ) -> UsbCamera:
         clock = clock_of(captures[0]) if captures and captures[0] else float
-        camera = UsbCamera(3, ASKED, clock, Socket(*captures), tmp_path, open_timeout_s)
+        camera = UsbCamera(3, ASKED, clock, controls, Socket(*captures), tmp_path, open_timeout_s)
         made.append((camera, captures))
         return camera
 
@@ -58,21 +61,68 @@ def refusal(camera: UsbCamera) -> str:
     return str(error.value)
 
 
-def test_size_rate_and_a_buffer_of_one_frame_are_asked_for(plug: Plug) -> None:
+def test_size_rate_automatic_exposure_and_a_buffer_of_one_frame_are_asked_for(plug: Plug) -> None:
     capture = FakeCapture(picture())
-    plug(capture).open()
+    camera = plug(capture)
+    assert camera.format == ""
+    camera.open()
     assert capture.asked == {
         cv2.CAP_PROP_FOURCC: cv2.VideoWriter.fourcc(*"MJPG"),
         cv2.CAP_PROP_FRAME_WIDTH: 80,
         cv2.CAP_PROP_FRAME_HEIGHT: 64,
         cv2.CAP_PROP_FPS: 30.0,
         cv2.CAP_PROP_BUFFERSIZE: 1,
+        cv2.CAP_PROP_AUTO_EXPOSURE: 3,
     }
+    assert camera.format == "MJPG 80×64 at 30 fps"
+
+
+@pytest.mark.parametrize(
+    ("modes", "taken"),
+    [
+        ({"MJPG": (80, 64, 30.0), "NV12": (80, 64, 30.0), "YUYV": (80, 64, 30.0)}, "YUYV 80×64 at 30 fps"),
+        ({"MJPG": (80, 64, 30.0), "NV12": (80, 64, 60.0), "YUYV": (80, 64, 5.0)}, "NV12 80×64 at 60 fps"),
+        ({"MJPG": (80, 64, 30.0), "YUYV": (40, 32, 30.0)}, "MJPG 80×64 at 30 fps"),
+        ({"MJPG": (80, 64, 15.0), "YUYV": (80, 64, 20.0)}, "YUYV 80×64 at 20 fps"),
+        ({"MJPG": (40, 32, 30.0), "YUYV": (80, 64, 5.0)}, "YUYV 80×64 at 5 fps"),
+        ({"MJPG": (80, 64, 0.0), "YUYV": (80, 64, 0.0)}, "MJPG 80×64 at an untold rate"),
+        ({"GREY": (80, 64, 30.0)}, "GREY 80×64 at 30 fps"),
+    ],
+)
+def test_raw_pictures_are_taken_where_size_and_rate_allow(
+    plug: Plug, modes: dict[str, tuple[int, int, float]], taken: str
+) -> None:
+    capture = FakeCapture(picture(), modes=modes)
+    camera = plug(capture)
+    camera.open()
+    assert camera.format == taken
+    assert capture.code == taken[:4]
+
+
+def test_exposure_and_gain_are_set_and_told(plug: Plug) -> None:
+    capture = FakeCapture(picture())
+    camera = plug(capture, controls=Controls(exposure_ms=8.0, gain=12.0))
+    camera.open()
+    assert capture.asked[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
+    assert capture.asked[cv2.CAP_PROP_EXPOSURE] == 80
+    assert capture.asked[cv2.CAP_PROP_GAIN] == 12.0
+    assert camera.format == "MJPG 80×64 at 30 fps, exposure 8 ms, gain 12"
+
+
+@pytest.mark.parametrize(
+    ("refused", "setting"),
+    [(cv2.CAP_PROP_EXPOSURE, "camera.exposure_ms = 8"), (cv2.CAP_PROP_GAIN, "camera.gain = 12")],
+)
+def test_a_control_that_the_camera_does_not_take_is_named(plug: Plug, refused: int, setting: str) -> None:
+    capture = FakeCapture(picture(), refuses=[refused])
+    told = refusal(plug(capture, controls=Controls(exposure_ms=8.0, gain=12.0)))
+    assert f"USB camera 3 does not take {setting}" in told
+    assert capture.released.is_set()
 
 
 def test_nothing_is_touched_before_it_is_opened(tmp_path: Path) -> None:
     socket = Socket()
-    camera = UsbCamera(3, ASKED, float, socket, tmp_path)
+    camera = UsbCamera(3, ASKED, float, AUTOMATIC, socket, tmp_path)
     camera.close()
     with pytest.raises(DeviceError, match="USB camera 3 is not open"):
         camera.read(0.0)
@@ -210,16 +260,29 @@ def test_other_kinds_of_pictures_are_refused(plug: Plug, image: ByteArray, kind:
 
 
 @pytest.mark.parametrize(
-    ("fps", "said"), [(15.0, "gives 15 fps; asked for 30 fps"), (0.0, "does not tell its rate"), (30.0, "")]
+    ("period_s", "said", "remedy"),
+    [
+        (1 / 15, "gives 15.0 fps, not 30", "lower camera.exposure_ms or add light"),
+        (1 / 60, "gives 60.0 fps, not 30", "set camera.fps = 60"),
+        (1 / 29, "", ""),
+    ],
 )
-def test_another_rate_is_logged_and_taken(
-    plug: Plug, caplog: pytest.LogCaptureFixture, fps: float, said: str
+def test_the_rate_is_measured_once_the_camera_has_settled(
+    plug: Plug, caplog: pytest.LogCaptureFixture, period_s: float, said: str, remedy: str
 ) -> None:
-    camera = plug(FakeCapture(picture(), fps=fps))
+    capture = FakeCapture(picture())
+    camera = plug(capture)
     camera.open()
-    assert camera.read(WAIT_S).number == 0
-    assert len(caplog.messages) == bool(said)
-    assert said in caplog.text
+    for number in range(1, 5):
+        capture.give(picture(), at_s=100.0 * number)
+    for number in range(20):
+        capture.give(picture(), at_s=400.0 + (1 + number) * period_s)
+    capture.settle()
+    assert f"measured {1 / period_s:.1f} fps" in camera.format
+    warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(warnings) == bool(said)
+    assert said in "".join(warnings)
+    assert remedy in camera.format
 
 
 def test_a_missing_camera_is_told_with_those_that_there_are(plug: Plug, tmp_path: Path) -> None:
@@ -255,7 +318,9 @@ def test_frames_of_opencv_itself_are_read_until_it_has_no_more(tmp_path: Path) -
     for level in range(0, 200, 20):
         writer.write(picture(level))
     writer.release()
-    camera = UsbCamera(3, ASKED, float, lambda _: cv2.VideoCapture(str(film)), open_timeout_s=WAIT_S)
+    camera = UsbCamera(
+        3, ASKED, float, AUTOMATIC, lambda _: cv2.VideoCapture(str(film)), open_timeout_s=WAIT_S
+    )
     camera.open()
     numbers, levels = [], []
 
