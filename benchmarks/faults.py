@@ -1,7 +1,7 @@
-"""How fast running processes react to faults: kills and freezes the operator, and ends the server.
+"""How fast running processes react to faults: of the operator, and of the manipulator's controller.
 
-Run from a checkout: ``python -m benchmarks.faults``. Prints one JSON object; times come from the trial
-log's own monotonic stamps. All simulated.
+Run from a checkout: ``python -m benchmarks.faults``. Prints one JSON object; times come from the
+server's and the emulator's own monotonic stamps. All simulated.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.emulated_rig import EmulatedRig
 from tests.rig_process import RigProcess
 
 
@@ -41,6 +42,39 @@ def hold_after(how: signal.Signals, mode: str, folder: Path) -> dict[str, float]
     return {"hold_ms": 1000 * (hold.t_s - heard_s), "ahead_ms": max(ahead_ms, default=0.0)}
 
 
+CONTROLLER: dict[str, dict[str, object]] = {
+    "mute": {"mute": True},
+    "stall_xy": {"stall": "xy"},
+    "stall_one_axis": {"stall": "y"},
+    "reading_frozen": {"freeze_reading": True},
+    "offset_80_um": {"offset_um": [0.0, 80.0, 0.0]},
+    "calibration_lost": {"calibration_lost": True},
+    "acks_dropped": {"drop_acks": 1_000_000},
+    "latency_400_ms": {"latency_ms": 400.0},
+    "reboot": {"reboot": True},
+}
+"""Faults of the emulated controller by name."""
+PATIENT = {"MRNAV_SUPERVISOR__HANG_S": "0.2"}
+"""What is measured here is the rig's reaction, and not the supervisor's on a busy machine."""
+
+
+def fault_after(knobs: dict[str, object], repeats: int) -> list[float]:
+    """Return how long after a fault of the controller in motion the rig was in FAULT, in ms."""
+    took_ms = []
+    with tempfile.TemporaryDirectory() as folder, EmulatedRig(Path(folder), PATIENT) as emulated:
+        emulated.prepare()
+        for _ in range(repeats):
+            emulated.go()
+            emulated.rig.events.clear()
+            began_s = emulated.emulator.turn(**knobs)["t"]
+            emulated.rig.until(lambda s: s["mode"] == "FAULT", "FAULT", 5.0)
+            time.sleep(0.1)
+            events = [e for e in emulated.rig.events if e["event"] == "mode" and e["mode"] == "FAULT"]
+            took_ms.append(1000 * (events[0]["t"] - began_s))
+            emulated.recover()
+    return took_ms
+
+
 def main() -> None:
     """Measure every fault a few times."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -60,6 +94,13 @@ def main() -> None:
                 "hold_ms_max": round(max(held), 1),
                 "ahead_ms_max": max(run["ahead_ms"] for run in runs),
             }
+    for name, knobs in CONTROLLER.items():
+        took_ms = fault_after(knobs, repeats)
+        print(f"emulated controller, {name}: FAULT after {max(took_ms):.1f} ms at most", file=sys.stderr)
+        result[name] = {
+            "fault_ms_median": round(float(np.median(took_ms)), 1),
+            "fault_ms_max": round(max(took_ms), 1),
+        }
     print(json.dumps(result))
 
 

@@ -122,7 +122,8 @@ def stop_ms(count: int, mute: bool) -> list[float]:
 def kill() -> tuple[float, float]:
     """Kill a server at full speed; return the time to STOP in ms and the travel since in µm."""
     with tempfile.TemporaryDirectory() as folder, EmulatedRig(Path(folder)) as emulated:
-        emulated.drive()
+        emulated.prepare()
+        emulated.go()
         speed_up(emulated)
         truth = emulated.truth()
         killed_s = time.monotonic()
@@ -169,14 +170,15 @@ def hang(count: int, progress: Console) -> list[float]:
         EmulatedRig(Path(name), command=COMMAND) as emulated,
     ):
         report = Path(name) / "trials" / "supervisor.jsonl"
-        emulated.drive()
+        emulated.prepare()
+        emulated.go()
         for round_ in track(range(count), "server hung", console=progress, transient=True):
             emulated.rig.process.send_signal(signal.SIGUSR1)
             wait_for(partial(reported, report, round_ + 1), HANG_S + 10.0, "the report")
             emulated.rig.until(lambda s: s["mode"] == "FAULT", "FAULT", 10.0)
-            wait_for(partial(granted, emulated, "reset"), 10.0, "reset")
+            wait_for(partial(emulated.granted, "reset"), 10.0, "reset")
             if round_ + 1 < count:
-                wait_for(partial(granted, emulated, "arm"), 10.0, "arm")
+                wait_for(partial(emulated.granted, "arm"), 10.0, "arm")
         lines = report.read_text().splitlines()
     return [json.loads(line)["silent_ms"] for line in lines if json.loads(line)["reason"] == "hung"]
 
@@ -184,11 +186,6 @@ def hang(count: int, progress: Console) -> list[float]:
 def reported(file: Path, count: int) -> bool:
     """Tell whether the supervisor has written this many reports."""
     return file.exists() and len(file.read_text().splitlines()) >= count
-
-
-def granted(emulated: EmulatedRig, ask: str) -> bool:
-    """Ask for a mode; tell whether it was granted."""
-    return bool(emulated.rig.http.post("/api/v1/mode", json={"ask": ask}).is_success)
 
 
 def repeated(emulated: EmulatedRig, since_s: float) -> bool:

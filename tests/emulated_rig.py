@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mrnav_server.devices.sensapex.emulator_faults import Faults
 from mrnav_server.devices.sensapex.smcp1 import MOVE, UNDEFINED, Block, Kind, Message, encode
 from tests.devices.emulator_process import EmulatorProcess
 from tests.rig_process import MRNAV, RigProcess, wait_for
@@ -57,16 +58,41 @@ class EmulatedRig:
         self.rig.end()
         self.emulator.__exit__()
 
-    def drive(self) -> str:
-        """Bring the rig into AUTO, in full motion; return the trial's id."""
-        trial = self.rig.begin_trial()
-        self.rig.ask("auto")
-        self.rig.until(lambda s: s["mode"] == "AUTO", "AUTO")
+    def prepare(self) -> None:
+        """Take the lease and mark the suggested areas; once, before the first ``go``."""
+        self.rig.post("/api/v1/lease", {"client": "faults"})
+        self.rig.until(lambda s: s["track"]["state"] == "tracking", "finding the robot")
+        for site in self.rig.snapshot["vessel"]["suggested_areas"]:
+            center = {"frame": "vessel", "x": site["x_px"], "y": site["y_px"]}
+            self.rig.post("/api/v1/critical-areas", {"center": center, "epsilon_um": 500.0})
+
+    def go(self) -> None:
+        """Bring the rig into AUTO, in motion, towards the area that is farthest away."""
+        self.wheel_over_the_robot()
+        areas = self.rig.http.get("/api/v1/critical-areas").json()
+        robot = self.rig.state["robot_vessel_px"]
+
+        def away_px(area: dict[str, dict[str, float]]) -> float:
+            return math.dist((area["center"]["x_px"], area["center"]["y_px"]), robot)
+
+        wait_for(lambda: self.granted("arm"), 10.0, "arming")
+        self.rig.until(lambda s: s["auto_ready"], "the guards of AUTO")
+        self.rig.ask("auto", area=max(areas, key=away_px)["id"])
         start_um = self.rig.state["tip_um"]
-        self.rig.until(
-            lambda s: max(abs(a - b) for a, b in zip(s["tip_um"], start_um, strict=True)) > 800.0, "motion"
-        )
-        return trial
+        self.rig.until(lambda s: math.dist(s["tip_um"], start_um) > 500.0, "motion")
+
+    def recover(self) -> None:
+        """Turn all knobs back, and disarm."""
+        self.emulator.turn(**Faults().as_json())
+        wait_for(lambda: not self.truth()["rebooting"], 10.0, "the reboot")
+        self.rig.until(lambda s: s["tip_um"] is not None, "the tip")
+        leave = "reset" if self.rig.state["mode"] in ("FAULT", "STOP") else "disarm"
+        wait_for(lambda: self.granted(leave), 10.0, leave)
+        self.rig.until(lambda s: s["mode"] == "DISARMED", "DISARMED")
+
+    def granted(self, ask: str) -> bool:
+        """Ask for a mode that is refused until the tip rests; tell whether it was granted."""
+        return self.rig.http.post("/api/v1/mode", json={"ask": ask}).is_success
 
     def wheel_over_the_robot(self) -> None:
         """Turn the controller's own wheels until the magnet holds the robot where it is."""

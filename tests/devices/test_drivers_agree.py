@@ -117,7 +117,7 @@ class TestMotion:
         taken_s = np.array([reading.taken_s for reading in readings])
         true_um = np.interp(taken_s, *np.array(truth).T)
         assert np.ptp(true_um) > 200.0
-        # Between two looks at the truth it is interpolated, which on a busy machine errs while it accelerates.
+        # Between two looks the truth is interpolated, which on a busy machine errs while it accelerates.
         assert all(
             reading.position.x_um > at_um - 5.0 for reading, at_um in zip(readings, true_um, strict=True)
         )

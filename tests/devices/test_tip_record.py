@@ -189,3 +189,15 @@ class TestMissingNotifications:
         record.on_goto(StagePoint(0.0, 0.0, 0.0))
         record.on_completed(3, 0.2)
         assert any("ended a move early" in text for text in record.warnings(0.2))
+
+
+def test_a_status_that_says_moving_for_ever_is_told() -> None:
+    record = rested(0.2)
+    record.on_status(Status.X, 0.2)
+    ended_s = drive(record, 0.2, 1000.0, 0.5)
+    for tick in range(1, 46):
+        read(record, 500.0, ended_s + tick / 50)
+    assert record.warnings(ended_s + 0.9) == []
+    for tick in range(46, 70):
+        read(record, 500.0, ended_s + tick / 50)
+    assert any("moves and rests" in text for text in record.warnings(ended_s + 1.4))

@@ -3,7 +3,6 @@
 Orders and reasons only, under a generous ceiling; `mrnav bench manipulator` measures the milliseconds.
 """
 
-import math
 import os
 import re
 import signal
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from mrnav_server.devices.sensapex.emulator_faults import Faults
 from tests.emulated_rig import EmulatedRig
 from tests.rig_process import MRNAV, wait_for
 
@@ -27,47 +25,19 @@ PATIENT = {
 """A busy machine must not look like a server that hangs or a controller that is silent."""
 
 
-def granted(bench: EmulatedRig, ask: str) -> bool:
-    """Ask for a mode that is refused until the tip rests; tell whether it was granted."""
-    return bench.rig.http.post("/api/v1/mode", json={"ask": ask}).is_success
-
-
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EmulatedRig]:
     with EmulatedRig(tmp_path_factory.mktemp("emulated"), PATIENT) as emulated:
-        emulated.rig.post("/api/v1/lease", {"client": "faults"})
-        emulated.rig.until(lambda s: s["track"]["state"] == "tracking", "finding the robot")
-        for site in emulated.rig.snapshot["vessel"]["suggested_areas"]:
-            center = {"frame": "vessel", "x": site["x_px"], "y": site["y_px"]}
-            emulated.rig.post("/api/v1/critical-areas", {"center": center, "epsilon_um": 500.0})
+        emulated.prepare()
         yield emulated
 
 
 @pytest.fixture
 def moving(bench: EmulatedRig) -> Iterator[EmulatedRig]:
-    """The rig in AUTO, in motion, towards the area that is farthest away; sound and disarmed afterwards."""
-    bench.wheel_over_the_robot()
-    areas = bench.rig.http.get("/api/v1/critical-areas").json()
-    robot = bench.rig.state["robot_vessel_px"]
-
-    def away_px(area: dict[str, dict[str, float]]) -> float:
-        return math.dist((area["center"]["x_px"], area["center"]["y_px"]), robot)
-
-    wait_for(lambda: granted(bench, "arm"), 10.0, "arming")
-    bench.rig.until(lambda s: s["auto_ready"], "the guards of AUTO")
-    bench.rig.ask("auto", area=max(areas, key=away_px)["id"])
-    start_um = bench.rig.state["tip_um"]
-    bench.rig.until(
-        lambda s: max(abs(a - b) for a, b in zip(s["tip_um"], start_um, strict=True)) > 500.0, "motion"
-    )
+    """The rig in AUTO, in motion; sound and disarmed afterwards."""
+    bench.go()
     yield bench
-    bench.emulator.turn(**Faults().as_json())
-    wait_for(lambda: not bench.emulator.turn()["rebooting"], 10.0, "the reboot")
-    bench.rig.until(lambda s: s["tip_um"] is not None, "the tip")
-
-    leave = "reset" if bench.rig.state["mode"] in ("FAULT", "STOP") else "disarm"
-    wait_for(lambda: granted(bench, leave), 10.0, leave)
-    bench.rig.until(lambda s: s["mode"] == "DISARMED", "DISARMED")
+    bench.recover()
 
 
 @pytest.mark.parametrize(
@@ -126,7 +96,8 @@ def test_requests_that_are_lost_now_and_then_are_told_and_do_not_end_the_motion(
 
 def test_a_killed_server_is_stopped_by_the_supervisor_which_says_so_at_the_next_start(tmp_path: Path) -> None:
     with EmulatedRig(tmp_path, PATIENT) as emulated:
-        emulated.drive()
+        emulated.prepare()
+        emulated.go()
         killed_s = time.monotonic()
         emulated.rig.process.kill()
         wait_for(lambda: bool(emulated.stops(killed_s)), CEILING_S, "STOP")
@@ -146,7 +117,8 @@ def test_a_killed_server_is_stopped_by_the_supervisor_which_says_so_at_the_next_
 
 def test_a_frozen_server_is_stopped_and_faults_when_it_wakes(tmp_path: Path) -> None:
     with EmulatedRig(tmp_path, PATIENT) as emulated:
-        emulated.drive()
+        emulated.prepare()
+        emulated.go()
         frozen_s = time.monotonic()
         emulated.rig.process.send_signal(signal.SIGSTOP)
         wait_for(lambda: bool(emulated.stops(frozen_s)), CEILING_S, "STOP")
@@ -158,7 +130,8 @@ def test_a_frozen_server_is_stopped_and_faults_when_it_wakes(tmp_path: Path) -> 
 
 def test_mrnav_stop_stops_the_controller_and_the_server(tmp_path: Path) -> None:
     with EmulatedRig(tmp_path, PATIENT) as emulated:
-        emulated.drive()
+        emulated.prepare()
+        emulated.go()
         asked_s = time.monotonic()
         settings = {
             "MRNAV_MANIPULATOR__DRIVER": "sensapex-udp",

@@ -24,7 +24,7 @@ _TOLD_S = 10.0
 """A warning is shown for this long after its last cause."""
 _AXES_MOVE = Status.X | Status.Y | Status.Z | Status.W
 
-_NO_STATUS = "the controller does not say when it moves: motion is seen by the position alone"
+_NO_STATUS = "the controller does not say when it moves and rests: motion is seen by the position alone"
 _NO_COMPLETION = "the controller does not say that a move has ended: arrival is seen by the position alone"
 _ENDED_EARLY = "the controller ended a move early: its completion code says that it failed"
 _ANNOUNCED = "the controller announced itself anew"
@@ -90,6 +90,8 @@ class TipRecord:
             silent_s = taken_s - max(self._began_s, self._said_moving_s)
             if silent_s > _MISSED_S and not self._status & _AXES_MOVE:
                 self._tell(_NO_STATUS, taken_s)
+        elif self._status & _AXES_MOVE and taken_s - max(self._moved_s, self._said_moving_s) > _BELIEVE_S:
+            self._tell(_NO_STATUS, taken_s)
         self._watch_arrival(taken_s)
         return True
 
