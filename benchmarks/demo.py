@@ -17,11 +17,11 @@ from tests.e2e.test_e2e_dashboard import CHROMIUM, FLAGS
 MRNAV = (sys.executable, "-m", "mrnav_server.cli.main")
 
 
-def run(seed: int, *, browser: bool) -> dict[str, object]:
+def run(seed: int, manipulator: str, *, browser: bool) -> dict[str, object]:
     """Run one demonstration; return its result with wall time and the server's mean CPU in cores."""
     began_s = time.monotonic()
     process = subprocess.Popen(
-        [*MRNAV, "demo", "--seed", str(seed), "--json"],
+        [*MRNAV, "demo", "--seed", str(seed), "--manipulator", manipulator, "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -66,11 +66,12 @@ def main() -> None:
     """Run the seeds one after the other."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--manipulator", default="simulated", help="or sensapex-udp, sensapex-sdk: emulated")
     parser.add_argument("--no-browser", action="store_true")
     options = parser.parse_args()
     runs = []
     for seed in range(1, options.seeds + 1):
-        result = run(seed, browser=not options.no_browser)
+        result = run(seed, options.manipulator, browser=not options.no_browser)
         runs.append(result)
         shown = (
             "completed",
@@ -81,7 +82,16 @@ def main() -> None:
             "server_cores",
         )
         print(f"seed {seed}:", {name: result[name] for name in shown}, result["latency_ms"], file=sys.stderr)
-    print(json.dumps({"simulated": True, "completed": sum(bool(r["completed"]) for r in runs), "runs": runs}))
+    print(
+        json.dumps(
+            {
+                "simulated": True,
+                "manipulator": options.manipulator,
+                "completed": sum(bool(r["completed"]) for r in runs),
+                "runs": runs,
+            }
+        )
+    )
 
 
 if __name__ == "__main__":

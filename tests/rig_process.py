@@ -54,6 +54,8 @@ class RigProcess:
         twin = self._stack.enter_context(
             connect(self.url.replace("http", "ws") + "/ws/twin", additional_headers=headers, proxy=None)
         )
+        self.send: Callable[[str], None] = twin.send
+        """Sends a message over the twin's WebSocket."""
         self.snapshot = json.loads(twin.recv())
         self.state: dict[str, Any] = self.snapshot["state"] or {}
         self.events: list[dict[str, Any]] = []

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,9 +10,15 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tests.devices.sensapex_rig import NEEDS_SDK
+from tests.emulated_rig import PATIENT
+
 
 @pytest.mark.timeout(300)
-def test_the_demo_completes_a_trial_and_leaves_nothing_running(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "manipulator", ["simulated", "sensapex-udp", pytest.param("sensapex-sdk", marks=NEEDS_SDK)]
+)
+def test_the_demo_completes_a_trial_and_leaves_nothing_running(tmp_path: Path, manipulator: str) -> None:
     before = {child.pid for child in psutil.Process().children(recursive=True)}
     done = subprocess.run(
         [
@@ -21,10 +28,13 @@ def test_the_demo_completes_a_trial_and_leaves_nothing_running(tmp_path: Path) -
             "demo",
             "--seed",
             "1",
+            "--manipulator",
+            manipulator,
             "--json",
             "--trials",
             str(tmp_path),
         ],
+        env=os.environ | PATIENT,
         capture_output=True,
         text=True,
         timeout=280,

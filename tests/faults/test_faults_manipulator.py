@@ -13,16 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.emulated_rig import EmulatedRig
+from tests.emulated_rig import PATIENT, EmulatedRig
 from tests.rig_process import MRNAV, wait_for
 
 CEILING_S = 2.0
-PATIENT = {
-    "MRNAV_SUPERVISOR__HANG_S": "0.2",
-    "MRNAV_SENSAPEX__SILENT_MS": "400",
-    "MRNAV_GUARDS__TIP_AGE_S": "0.4",
-}
-"""A busy machine must not look like a server that hangs or a controller that is silent."""
 
 
 @pytest.fixture(scope="module")
