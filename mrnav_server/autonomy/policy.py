@@ -43,39 +43,72 @@ class Sampler:
     """Turns logits into actions for n agents that act in step.
 
     Greedy takes the best action that does not turn back against a running average of past directions:
-    without that memory, two equally good routes make a deterministic agent dither for ever. The other
-    mode draws from the categorical distribution, as the published system does.
+    without that memory, two equally good routes make a deterministic agent dither for ever. An agent that
+    sees itself late may circle its target for ever, too; one that has turned round and round therefore
+    wanders for a while, over all allowed actions alike. The other mode always draws from the
+    categorical distribution, as the published system does.
 
     Args:
         greedy: Best action with direction memory, or a draw.
-        seed: Of the draws; greedy ignores it.
+        seed: Of what is drawn.
         agents: How many agents act in step.
     """
 
     memory_share = 0.7
     turn_back_cos = -0.1
+    turned_share = 0.99
+    circling_rad = 4.0 * np.pi
+    """An agent circles that has turned by this much lately, with what is long ago forgotten."""
+    wander_steps = 24
 
     def __init__(self, *, greedy: bool, seed: int = 0, agents: int = 1) -> None:
         self.greedy = greedy
         self._random = np.random.default_rng(seed)
         self._heading: FloatArray = np.zeros((agents, 2))
+        self._before: IntArray = np.full(agents, -1)
+        self._turned_rad: FloatArray = np.zeros(agents)
+        self._wanders: IntArray = np.zeros(agents, np.int64)
 
     def choose(self, logits: Float32Array) -> IntArray:
         """Return an action index for every agent: shape (n, 40) to shape (n,), int64."""
         if not self.greedy:
-            return np.asarray((logits + self._random.gumbel(size=logits.shape)).argmax(axis=1))
+            return self._drawn(logits)
         actions = np.asarray(np.where(self._ahead(logits), logits, -np.inf).argmax(axis=1))
-        self._heading = self.memory_share * self._heading + (1 - self.memory_share) * DIRECTIONS[actions]
+        wandering = self._wanders > 0
+        if wandering.any():
+            allowed = np.where(logits[wandering] > FORBIDDEN_LOGIT / 2, np.float32(0.0), FORBIDDEN_LOGIT)
+            actions[wandering] = self._drawn(allowed)
+        self._remember(actions)
         return actions
 
     @property
-    def heading(self) -> FloatArray:
-        """Running average of the past directions, shape (n, 2); zero at first and while drawing."""
-        return self._heading
+    def memory(self) -> FloatArray:
+        """What greedy choices depend on beside the logits, shape (n, 5).
+
+        The average of the past directions, the last action, how far the agent has turned lately, in rad, and
+        for how many steps it still wanders.
+        """
+        return np.column_stack([self._heading, self._before, self._turned_rad, self._wanders])
 
     def keep(self, agents: BoolArray) -> None:
         """Drop the agents for which the mask, shape (n,), is False."""
         self._heading = self._heading[agents]
+        self._before, self._turned_rad = self._before[agents], self._turned_rad[agents]
+        self._wanders = self._wanders[agents]
+
+    def _drawn(self, logits: Float32Array) -> IntArray:
+        return np.asarray((logits + self._random.gumbel(size=logits.shape)).argmax(axis=1))
+
+    def _remember(self, actions: IntArray) -> None:
+        now, before = DIRECTIONS[actions], DIRECTIONS[self._before]
+        cross = before[:, 0] * now[:, 1] - before[:, 1] * now[:, 0]
+        turn_rad = np.where(self._before < 0, 0.0, np.arctan2(cross, (before * now).sum(axis=1)))
+        self._turned_rad = self.turned_share * self._turned_rad + turn_rad
+        self._wanders = np.maximum(self._wanders - 1, 0)
+        circling = np.abs(self._turned_rad) > self.circling_rad
+        self._wanders[circling], self._turned_rad[circling] = self.wander_steps, 0.0
+        self._before = actions
+        self._heading = self.memory_share * self._heading + (1 - self.memory_share) * now
 
     def _ahead(self, logits: Float32Array) -> BoolArray:
         """Return the allowed actions that do not turn back; all allowed ones where there is none."""

@@ -192,6 +192,12 @@ def _append(path: Path, line: bytes) -> None:
         os.close(file)
 
 
+def _prefer_this_process() -> None:
+    """Ask to run before all ordinary programs: this one does next to nothing, and must do it in time."""
+    with suppress(AttributeError, OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+
+
 def _say(line: bytes) -> None:
     # A server that is gone hears nothing, and one that hangs must not hold this process up.
     with suppress(OSError):
@@ -205,6 +211,7 @@ def main() -> None:
         # What ends the server must not end who watches over it; it ends by itself when the server has.
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
+    _prefer_this_process()
     if os.name == "posix":
         os.set_blocking(1, False)
     target = (address, int(port))

@@ -107,7 +107,7 @@ def roll_out(
     """Drive every pair until it arrives or its steps run out.
 
     Agents that arrived leave the batch. An undisturbed greedy agent that comes back to a position with the
-    same memory of direction repeats itself for ever: it leaves the batch too, and what it would go on to do
+    same memory repeats itself for ever: it leaves the batch too, and what it would go on to do
     is counted.
 
     Args:
@@ -171,7 +171,7 @@ class _Loops:
     def __init__(self, sampler: Sampler, count: int) -> None:
         self._sampler = sampler
         self._position = np.full((count, 2), np.nan)
-        self._heading = np.full((count, 2), np.nan)
+        self._memory = np.full((count, 5), np.nan)
         self._hits: IntArray = np.zeros(count, np.int64)
         self._at = 0
 
@@ -179,14 +179,14 @@ class _Loops:
         self, number: int, position: FloatArray, hits: IntArray, max_steps: int
     ) -> tuple[BoolArray, IntArray]:
         """Return who is back at the checkpoint's state, and the hits still to come, shape (m,) each."""
-        heading = self._sampler.heading
-        back = (position == self._position).all(axis=1) & (heading == self._heading).all(axis=1)
+        memory = self._sampler.memory
+        back = (position == self._position).all(axis=1) & (memory == self._memory).all(axis=1)
         to_come = (hits - self._hits) * (max_steps - number) // max(number - self._at, 1)
         if number >= 2 * self._at:
-            self._position, self._heading, self._hits, self._at = position, heading, hits, number
+            self._position, self._memory, self._hits, self._at = position, memory, hits, number
         return back, to_come
 
     def keep(self, agents: BoolArray) -> None:
         """Drop the agents for which the mask, shape (m,), is False."""
-        self._position, self._heading = self._position[agents], self._heading[agents]
+        self._position, self._memory = self._position[agents], self._memory[agents]
         self._hits = self._hits[agents]

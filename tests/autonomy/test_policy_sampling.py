@@ -28,6 +28,11 @@ def action_towards(dx: int, dy: int) -> int:
     return int(ACTIONS.tolist().index([dx, dy]))
 
 
+def heading_for(degrees: float) -> int:
+    """The action that goes most nearly in a direction."""
+    return int((DIRECTIONS @ [np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))]).argmax())
+
+
 def logits_preferring(*actions: int) -> Float32Array:
     """Logits of one agent: the first action is best, the next second best, and so on."""
     logits = np.zeros((1, 40), np.float32)
@@ -54,6 +59,31 @@ def test_greedy_turns_when_nothing_else_is_allowed() -> None:
     sampler = Sampler(greedy=True)
     sampler.choose(logits_preferring(right))
     assert sampler.choose(only_left).tolist() == [left]
+
+
+def test_an_agent_that_circles_wanders_over_what_is_allowed_and_then_goes_on() -> None:
+    sampler = Sampler(greedy=True)
+    round_and_round = [heading_for(22.5 * step) for step in range(16)]
+    forbidden = heading_for(10.0)
+    obeyed = []
+    for step in range(400):
+        wished = round_and_round[step % 16]
+        logits = logits_preferring(wished)
+        logits[0, forbidden] = FORBIDDEN_LOGIT
+        chosen = int(sampler.choose(logits)[0])
+        assert chosen != forbidden
+        obeyed.append(chosen == wished)
+    assert all(obeyed[:32])
+    assert not all(obeyed[32:80])
+    assert obeyed[-200:].count(True) > 50
+
+
+def test_a_way_that_winds_to_and_fro_is_no_circling() -> None:
+    sampler = Sampler(greedy=True)
+    there = [heading_for(45.0 * step) for step in range(5)]
+    for _ in range(20):
+        for wished in there + there[-2:0:-1]:
+            assert int(sampler.choose(logits_preferring(wished))[0]) == wished
 
 
 def test_memory_fades_so_that_a_detour_can_end() -> None:
