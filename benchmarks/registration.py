@@ -1,4 +1,4 @@
-"""How far off a registered vessel is, over shifts and turns: ``python -m benchmarks.registration`` (simulated)."""
+"""How far off a registered vessel is (simulated): ``python -m benchmarks.registration``."""
 
 import time
 

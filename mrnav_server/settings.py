@@ -35,9 +35,12 @@ from mrnav_server.loops.hand_link import HandLinkConfig
 from mrnav_server.loops.recorder import RecorderConfig
 from mrnav_server.loops.supervisor import SupervisorConfig
 from mrnav_server.loops.trial_marks import TrialConfig
+from mrnav_server.loops.video_recorder import VideoConfig
 from mrnav_server.sim.microscope import MicroscopeConfig
 from mrnav_server.sim.world import SimConfig
 from mrnav_server.vision.calibration_plan import CalibrationConfig
+from mrnav_server.vision.drift import DriftConfig
+from mrnav_server.vision.registration import RegistrationConfig
 from mrnav_server.vision.tracker import TrackerConfig
 
 DEFAULT_FILE = Path("mrnav.toml")
@@ -164,6 +167,8 @@ class Settings(BaseModel):
     sim: SimConfig = SimConfig()
     microscope: MicroscopeConfig = MicroscopeConfig()
     tracker: TrackerConfig = TrackerConfig()
+    registration: RegistrationConfig = RegistrationConfig()
+    drift: DriftConfig = DriftConfig()
     follower: FollowerConfig = FollowerConfig()
     limits: Limits = Limits()
     hand: HandConfig = HandConfig()
@@ -174,6 +179,7 @@ class Settings(BaseModel):
     trial: TrialConfig = TrialConfig()
     guards: GuardConfig = GuardConfig()
     recording: RecordingConfig = RecordingConfig()
+    video: VideoConfig = VideoConfig()
 
     def digest(self) -> str:
         """Return a hash of the configuration, without the tokens: sha256, 64 hex digits."""

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import orjson
 from fastapi import APIRouter, Depends, Query, Response, WebSocket
 
-from mrnav_server.app import areas, trials
+from mrnav_server.app import areas, registration_routes, trials
 from mrnav_server.app.context import Context, Operator, Viewer, operator, viewer
 from mrnav_server.app.metrics_endpoint import CONTENT_TYPE, RigCollector
 from mrnav_server.app.problems import ApiError, problem
@@ -21,6 +21,7 @@ streams = APIRouter(tags=["streams"], dependencies=[Depends(viewer)])
 api = APIRouter(prefix="/api/v1", dependencies=[Depends(viewer)])
 api.include_router(areas.router)
 api.include_router(trials.router)
+api.include_router(registration_routes.router)
 
 
 @health.get("/healthz")

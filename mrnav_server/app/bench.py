@@ -30,9 +30,9 @@ _FOLLOWING_LAG_S = 0.005
 """How closely the simulated magnet follows a manipulator outside the world: about one reading's age."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Bench:
-    """Devices and what is known of how they stand to each other.
+    """Devices and what is known of how they stand to each other; a registration changes the calibration.
 
     Attributes:
         manipulator: Moves the magnet.
@@ -59,8 +59,8 @@ class Bench:
 
     @property
     def camera_format(self) -> str:
-        """What a USB camera or a video file really gives, in words; "" for others, and before opening."""
-        return self.camera.format if isinstance(self.camera, UsbCamera | VideoFileCamera) else ""
+        """What the camera really gives, in words; "" where that is not known, and before opening."""
+        return camera_format(self.camera)
 
     @property
     def simulated(self) -> bool:
@@ -145,7 +145,9 @@ def build_camera(
     """
     match settings.rig.camera:
         case "usb":
-            return build_usb_camera(settings, clock)
+            asked = settings.camera
+            controls = Controls(asked.exposure_ms, asked.gain)
+            return UsbCamera(asked.index, asked, clock, controls)
         case "file":
             film = settings.camera
             return VideoFileCamera(Path(film.file), film, clock, loop=film.loop)
@@ -156,11 +158,9 @@ def build_camera(
             raise ValueError("the simulated camera belongs to a simulated world")
 
 
-def build_usb_camera(settings: Settings, clock: Callable[[], float]) -> UsbCamera:
-    """Build the USB camera that ``camera`` describes, chosen or not."""
-    asked = settings.camera
-    controls = Controls(asked.exposure_ms, asked.gain)
-    return UsbCamera(asked.index, asked, clock, controls)
+def camera_format(camera: Camera) -> str:
+    """Return what a USB camera or a video file really gives, in words; "" for others and before opening."""
+    return camera.format if isinstance(camera, UsbCamera | VideoFileCamera) else ""
 
 
 def _calibration(settings: Settings, vessel: VesselMap, world: SimulatedWorld) -> Calibration:

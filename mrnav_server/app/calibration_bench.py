@@ -65,7 +65,9 @@ class SimulatedBench:
         self.plate: VesselMap = vessel_map(
             "plate", np.full((size_px, size_px), 255, np.uint8), um_per_px, radius_um
         )
-        self.world = SimulatedWorld(replace(sim, start=self._middle), self.plate, picture)
+        # A plate has no place of its own.
+        plain = replace(sim, start=self._middle, vessel_shift_um=(0.0, 0.0), vessel_turn_deg=0.0)
+        self.world = SimulatedWorld(plain, self.plate, picture)
         optics = self.world.optics
         truth = self.world.true_calibration
         self._microscope = Microscope(

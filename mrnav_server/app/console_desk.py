@@ -61,7 +61,7 @@ class ConsoleDesk:
             return
         self._lease.hear(session, self._clock())
         if ask is not Ask.HOLD:
-            self._require_lease(session)
+            self.require_lease(session)
         if ask is Ask.AUTO:
             await self._prepare_auto(session, area)
         self._control.submit(ask, self._clock())
@@ -90,6 +90,17 @@ class ConsoleDesk:
             self._step()
         self._announce_lease()
 
+    def require_lease(self, session: str) -> None:
+        """Refuse what only the console that controls the rig may ask for.
+
+        Raises:
+            RefusedError: If this session does not have the lease.
+        """
+        if not self._lease.holds(session):
+            holder = self._lease.state().client
+            who = f"{holder} has control" if holder else "nobody has control"
+            raise RefusedError("no_lease", f"{who}: take the lease first")
+
     def heartbeat(self, session: str) -> None:
         """Note that a page is alive and watched."""
         self._lease.hear(session, self._clock())
@@ -110,17 +121,11 @@ class ConsoleDesk:
         path = await self._navigator.plan(robot, area.center)
         if self._control.generation != generation:
             raise RefusedError("overtaken", "the rig was used while the path was planned: ask again")
-        self._require_lease(session)
+        self.require_lease(session)
         self._control.check(Ask.AUTO, self._clock())
         self._navigator.autopilot.prepare(path, area.center)
         if path.fallback:
             self._herald.announce("fault", {"reason": f"the geodesic stands in: {path.fallback}"})
-
-    def _require_lease(self, session: str) -> None:
-        if not self._lease.holds(session):
-            holder = self._lease.state().client
-            who = f"{holder} has control" if holder else "nobody has control"
-            raise RefusedError("no_lease", f"{who}: take the lease first")
 
     def _announce_lease(self) -> None:
         self._herald.announce("lease", {"epoch": self._lease.epoch, "client": self._lease.state().client})

@@ -26,6 +26,7 @@ class Navigator:
 
     def __init__(self, settings: Settings, vessel: VesselMap, calibration: Calibration) -> None:
         self._config = settings.autopilot
+        self._follower_config = settings.follower
         self._path_config = settings.path
         self._folder = find_model(settings.rig.vessel)
         self._vessel = vessel
@@ -41,6 +42,10 @@ class Navigator:
             vessel.um_per_px,
             "autonomy is still loading",
         )
+
+    def recalibrate(self, calibration: Calibration) -> None:
+        """Go by another calibration; what was learnt of magnet and robot under the old one is forgotten."""
+        self.autopilot.use(Follower(self._follower_config, self._vessel, calibration))
 
     async def load(self) -> None:
         """Verify and warm up the policy and build the planner; a bad policy leaves MANUAL working."""

@@ -18,9 +18,12 @@ from mrnav_server.app.console_desk import ConsoleDesk
 from mrnav_server.app.hand_seat import HandSeat
 from mrnav_server.app.herald import Herald
 from mrnav_server.app.navigator import Navigator
+from mrnav_server.app.registration_desk import RegistrationDesk
 from mrnav_server.app.supervision import come_to_rest, supervised, tell_earlier_stops
 from mrnav_server.app.telemetry import Telemetry
 from mrnav_server.app.trial_desk import TrialDesk
+from mrnav_server.app.trial_video import TrialVideo
+from mrnav_server.app.video import VideoEncoder
 from mrnav_server.core import wire_twin
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import ConfigError, DeviceError, RefusedError
@@ -41,6 +44,7 @@ from mrnav_server.loops.tracking import TrackingLoop
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
 from mrnav_server.sim.clock import WorldClock
+from mrnav_server.vision.drift import DriftWatch
 from mrnav_server.vision.frame_watch import FrameWatch
 from mrnav_server.vision.model_store import find_model
 from mrnav_server.vision.tracker import Tracker
@@ -94,6 +98,8 @@ class Rig:
         self.telemetry = Telemetry(
             self.control, self.navigator.autopilot, self.hand, self.lease, self.marks, self.calibration
         )
+        self.encoder = VideoEncoder(self.frames)
+        self.film = TrialVideo(settings.video, self.encoder)
         self.trials = TrialDesk(
             settings,
             self._root,
@@ -104,6 +110,18 @@ class Rig:
             self.navigator,
             self.marks,
             self.telemetry,
+            self.film,
+            self.herald.announce,
+        )
+        self.registration = RegistrationDesk(
+            settings.registration,
+            self._root,
+            self.vessel,
+            self.calibration,
+            (self.bench.name, self._simulated_place()),
+            self.frames,
+            self._check_registration,
+            self._recalibrate,
             self.herald.announce,
         )
         self.console = ConsoleDesk(
@@ -129,6 +147,8 @@ class Rig:
         )
         self.control.recorder_fault = lambda: self._recorder.fault or ""
         self.control.camera_fault = lambda: self._camera_fault
+        self.control.drift_warning = lambda: self._drift.drift.warning or self._registration_warning
+        self.control.drift_fault = lambda: self._drift.drift.warning if self._drift.drift.holds else ""
         self.control.device_warnings = self.bench.manipulator.warnings
         self._tokens = Tokens(settings.server)
         self._hand_link = HandLinkServer(
@@ -147,6 +167,9 @@ class Rig:
         )
         self._twin: Mapping[str, object] | None = None
         self._camera_fault = ""
+        self._tracker = Tracker(settings.tracker, self.calibration)
+        self._drift = DriftWatch(settings.drift, self.calibration, self.vessel)
+        self._registration_warning = self.registration.restore()
         self._running = False
         self._fresh_track = asyncio.Event()
 
@@ -180,6 +203,7 @@ class Rig:
                 if isinstance(value, float)
             },
             picture=self.settings.camera,
+            camera_format=self.bench.camera_format,
         )
         cards = self.navigator.policy_cards()
         return wire_twin.snapshot(session, role, card, cards, self.areas.list(), self.states.value)
@@ -243,14 +267,14 @@ class Rig:
             async with asyncio.timeout(_CLOSE_S):
                 await asyncio.shield(manipulator.close())
                 await asyncio.shield(self._recorder.end_trial())
+                await asyncio.shield(self.film.end())
             self.navigator.close()
 
     async def _run_loops(self, started: asyncio.Event) -> None:
         """Run every loop until cancelled, or until one fails."""
-        tracker = Tracker(self.settings.tracker, self.calibration)
         watch = FrameWatch(self.settings.camera.fps, self.settings.tracker.darkest_gray)
         tracking = TrackingLoop(
-            self.bench.camera, tracker, self._on_track, self._on_camera, watch, self._clock
+            self.bench.camera, self._tracker, self._on_track, self._on_camera, watch, self._clock
         )
         try:
             async with asyncio.TaskGroup() as group:
@@ -261,6 +285,8 @@ class Rig:
                 group.create_task(self._run_control(), name="control")
                 group.create_task(self._run_twin(), name="twin")
                 group.create_task(self._run_planner(), name="planner")
+                group.create_task(self.film.run(), name="film")
+                group.create_task(self._run_drift(), name="drift")
                 listening = asyncio.Event()
                 group.create_task(self._hand_link.run(listening), name="hand link")
                 await listening.wait()
@@ -301,6 +327,19 @@ class Rig:
                 else:
                     self.navigator.autopilot.deliver(order, path)
 
+    async def _run_drift(self) -> None:
+        """Compare the walls in the picture with what they were, away from the event loop."""
+        version = 0
+        async for _ in ticks(self.settings.drift.look_s, self._clock):
+            if self._camera_fault or self.frames.version == version or self.frames.value is None:
+                continue
+            version = self.frames.version
+            before = self._drift.drift.warning
+            watch = self._drift
+            seen = await asyncio.to_thread(watch.look, self.frames.value.image)
+            if watch is self._drift and bool(seen.warning) != bool(before):
+                self.herald.announce("fault", {"reason": seen.warning or "the vessel is where it was"})
+
     def _step(self, now_s: float, received_s: float | None = None) -> None:
         """Step the control loop, at a beat or for a hand sample that was received just now."""
         if self.bench.world_clock is not None:
@@ -314,6 +353,34 @@ class Rig:
     def _hold(self) -> None:
         if self.control.machine.mode in ARMED:
             self.control.submit(Ask.HOLD, self._clock())
+
+    def _check_registration(self, session: str) -> None:
+        """Refuse a registration that would change where the robot may go under somebody's hand.
+
+        Raises:
+            RefusedError: With the reason.
+        """
+        self.console.heartbeat(session)
+        self.console.require_lease(session)
+        if self.control.machine.mode is not Mode.DISARMED:
+            raise RefusedError("armed", "the rig is armed: disarm it first")
+        if self._recorder.trial is not None:
+            raise RefusedError("trial_running", "a trial keeps the registration it began with: end it first")
+
+    def _recalibrate(self, calibration: Calibration) -> None:
+        """Go by another calibration from here on: the only place where one is changed."""
+        self.control.recalibrate(calibration)
+        self.bench.calibration = calibration
+        self.navigator.recalibrate(calibration)
+        self.telemetry.recalibrate(calibration)
+        self._tracker.recalibrate(calibration)
+        self._drift = DriftWatch(self.settings.drift, calibration, self.vessel)
+        self._registration_warning = ""
+
+    def _simulated_place(self) -> object:
+        """Return where a simulated vessel really lies: a registration holds for that place alone."""
+        sim = self.settings.sim
+        return (sim.vessel_shift_um, sim.vessel_turn_deg) if self.bench.world is not None else None
 
     # -- callbacks of the loops ------------------------------------------------------------------------
 

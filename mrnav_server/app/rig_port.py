@@ -1,7 +1,7 @@
 """What the web side needs of a rig; ``app/rig.py`` gives it, tests give a small one."""
 
 import asyncio
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mrnav_server.core.frames import Calibration, VesselPoint
 from mrnav_server.core.records import CriticalArea, Frame, RigState
@@ -10,6 +10,9 @@ from mrnav_server.loops.events import EventBus
 from mrnav_server.loops.latest import Latest
 from mrnav_server.loops.trial_log import Condition, OperatorKind
 from mrnav_server.settings import Settings
+
+if TYPE_CHECKING:
+    from mrnav_server.app.video import VideoEncoder  # which needs this module itself
 
 
 class Areas(Protocol):
@@ -65,6 +68,19 @@ class Console(Protocol):
         """Note that a page is alive and watched."""
 
 
+class Registering(Protocol):
+    """Where the vessel lies; asks raise RefusedError with the reason."""
+
+    def state(self) -> dict[str, Any]:
+        """Describe the registration that the rig goes by."""
+
+    async def find(self, session: str) -> dict[str, Any]:
+        """Register the vessel from the live picture."""
+
+    async def adjust(self, session: str, dx_um: float, dy_um: float, turn_deg: float) -> dict[str, Any]:
+        """Move the model by hand."""
+
+
 class RigPort(Protocol):
     """A rig as the server sees it."""
 
@@ -89,6 +105,10 @@ class RigPort(Protocol):
         """The newest camera picture."""
 
     @property
+    def encoder(self) -> "VideoEncoder":
+        """Turns the newest camera picture into JPEG."""
+
+    @property
     def events(self) -> EventBus:
         """What happens once."""
 
@@ -99,6 +119,10 @@ class RigPort(Protocol):
     @property
     def console(self) -> Console:
         """Modes, control and STOP."""
+
+    @property
+    def registration(self) -> Registering:
+        """Where the vessel lies."""
 
     @property
     def trials(self) -> Trials:

@@ -1,8 +1,8 @@
 """Bodies of requests. Strict: no conversion, no NaN, no unknown field."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Ask = Literal["arm", "disarm", "manual", "auto", "hold", "stop", "reset"]
 Identifier = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.-]+$")]
@@ -49,6 +49,21 @@ class TrialBody(_Body):
     condition: Literal["with_autonomy", "without_autonomy"]
     operator_kind: Literal["human", "simulated"] = "human"
     notes: Annotated[str, Field(max_length=2000)] = ""
+
+
+class RegistrationBody(_Body):
+    """Where the vessel lies: found in the picture, or moved by hand from where it is taken to lie."""
+
+    auto: bool = False
+    dx_um: float = 0.0
+    dy_um: float = 0.0
+    turn_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if self.auto and (self.dx_um or self.dy_um or self.turn_deg):
+            raise ValueError("auto finds the vessel by itself: leave out dx_um, dy_um and turn_deg")
+        return self
 
 
 class Heartbeat(_Body):

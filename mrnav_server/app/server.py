@@ -17,7 +17,7 @@ from mrnav_server.app.pages import Pages, pages_folder
 from mrnav_server.app.problems import install_problems
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.twin import TwinHub
-from mrnav_server.app.video import VideoEncoder, VideoHub
+from mrnav_server.app.video import VideoHub
 from mrnav_server.settings import Settings
 
 _OPENAPI = "/api/v1/openapi.json"
@@ -34,9 +34,8 @@ def create_app(rig: RigPort, settings: Settings) -> FastAPI:
         title="mrnav-server", version=__version__, openapi_url=_OPENAPI, docs_url=None, redoc_url=None
     )
     gate = Gate(settings.server)
-    encoder = VideoEncoder(rig.frames)
     _, png = cv2.imencode(".png", rig.vessel.lumen.astype(np.uint8) * 255)
-    app.state.context = AppContext(rig, gate, TwinHub(rig), encoder, VideoHub(encoder), png.tobytes())
+    app.state.context = AppContext(rig, gate, TwinHub(rig), rig.encoder, VideoHub(rig.encoder), png.tobytes())
     install_problems(app)
     for router in (api.health, api.streams, api.api):
         app.include_router(router)

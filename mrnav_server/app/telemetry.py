@@ -49,6 +49,10 @@ class Telemetry:
         self._published_frame = -1
         self._seq = 0
 
+    def recalibrate(self, calibration: Calibration) -> None:
+        """Go by another calibration."""
+        self._calibration = calibration
+
     def restart(self) -> None:
         """Forget the latencies: a trial begins."""
         for latency in (self._control.hand_to_command, self._frame_to_twin, self._tick):

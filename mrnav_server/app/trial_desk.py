@@ -1,5 +1,6 @@
 """Trials as clients begin, end and list them."""
 
+import asyncio
 import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,6 +11,7 @@ from mrnav_server.app.bench import Bench
 from mrnav_server.app.navigator import Navigator
 from mrnav_server.app.reporting import ReportError, trial_report
 from mrnav_server.app.telemetry import Telemetry
+from mrnav_server.app.trial_video import TrialVideo
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import calibration_fields
@@ -33,6 +35,7 @@ class TrialDesk:
         navigator: Which policy is in use.
         marks: Contacts and whether the target was reached.
         telemetry: Latencies and counters.
+        film: Records the trial's video.
         announce: Tells everybody what happened, and records it.
     """
 
@@ -47,6 +50,7 @@ class TrialDesk:
         navigator: Navigator,
         marks: TrialMarks,
         telemetry: Telemetry,
+        film: TrialVideo,
         announce: Callable[[str, Mapping[str, object]], None],
     ) -> None:
         self._settings = settings
@@ -58,7 +62,9 @@ class TrialDesk:
         self._navigator = navigator
         self._marks = marks
         self._telemetry = telemetry
+        self._film = film
         self._announce = announce
+        self._ending = asyncio.Lock()
 
     def list(self) -> list[dict[str, Any]]:
         """Describe the trials on disk, oldest first."""
@@ -96,6 +102,7 @@ class TrialDesk:
             notes=notes,
         )
         trial_id = self._recorder.start_trial(header)
+        self._film.begin(self._root / trial_id)
         self._marks.restart()
         self._telemetry.restart()
         self._announce("trial", {"mark": "start", "id": trial_id})
@@ -107,19 +114,24 @@ class TrialDesk:
         Raises:
             RefusedError: If this trial is not the running one.
         """
-        if trial_id != self._recorder.trial:
-            raise RefusedError("no_such_trial", f"trial {trial_id!r} is not running")
-        summary = self._marks.summary() | {
-            "id": trial_id,
-            "final_distance_um": self._control.distance_um,
-            "latency_ms": self._telemetry.summary(),
-            "simulated": self._bench.simulated,
-        }
-        if self._bench.world is not None:
-            truth = self._bench.world
-            summary["simulated_truth"] = {"collisions": truth.collisions, "lifted": truth.lifted}
-        self._announce("trial", {"mark": "end", **summary})
-        folder = await self._recorder.end_trial()
+        # A second request must not find the trial still running while its film is being closed.
+        async with self._ending:
+            if trial_id != self._recorder.trial:
+                raise RefusedError("no_such_trial", f"trial {trial_id!r} is not running")
+            summary = self._marks.summary() | {
+                "id": trial_id,
+                "final_distance_um": self._control.distance_um,
+                "latency_ms": self._telemetry.summary(),
+                "simulated": self._bench.simulated,
+            }
+            filmed = await self._film.end()
+            if filmed is not None:
+                summary["video"] = dataclasses.asdict(filmed)
+            if self._bench.world is not None and self._settings.rig.camera == "simulated":
+                truth = self._bench.world
+                summary["simulated_truth"] = {"collisions": truth.collisions, "lifted": truth.lifted}
+            self._announce("trial", {"mark": "end", **summary})
+            folder = await self._recorder.end_trial()
         if folder is None:
             return summary
         try:

@@ -15,13 +15,11 @@ class TrialVideo:
     Args:
         config: Whether and how trials are filmed.
         encoder: Turns the newest frame into JPEG.
-        fps: The camera's frames a second.
     """
 
-    def __init__(self, config: VideoConfig, encoder: VideoEncoder, fps: float) -> None:
+    def __init__(self, config: VideoConfig, encoder: VideoEncoder) -> None:
         self._config = config
         self._encoder = encoder
-        self._fps = fps
         self._recorder: VideoRecorder | None = None
         self._filming = asyncio.Event()
 
@@ -33,7 +31,7 @@ class TrialVideo:
     def begin(self, folder: Path) -> None:
         """Film from the newest frame on, into a trial's folder, if trials are filmed at all."""
         if self._config.enabled:
-            self._recorder = VideoRecorder(folder / VIDEO_NAME, self._fps, self._config.min_free_mb)
+            self._recorder = VideoRecorder(folder / VIDEO_NAME, self._config.min_free_mb)
             self._filming.set()
 
     async def end(self) -> VideoSummary | None:

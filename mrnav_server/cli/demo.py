@@ -201,16 +201,21 @@ def _trial(rest: Rest, twin: TwinConsole, area: str, seed: int, result: dict[str
 
 def _perform(rest: Rest, twin: TwinConsole, tally: Tally, area: str) -> None:
     """Arm, let the autonomy drive, and wait until the operator lets go of the robot."""
-    rest.post("/api/v1/mode", {"ask": "arm"})
-    twin.until(lambda s: s["mode"] in ("MANUAL", "HOLD"), ARMED_S, "arming")
     for _ in range(_AUTO_ASKS):
+        if twin.state["mode"] not in ("MANUAL", "HOLD"):
+            _insist(rest, twin, "arm")
+            twin.until(lambda s: s["mode"] in ("MANUAL", "HOLD"), ARMED_S, "arming")
         tally.drove = False
         _ask_auto(rest, twin, area)
         twin.until(lambda _: tally.drove, ARMED_S, "AUTO")
         twin.until(lambda s: s["mode"] != "AUTO", AUTO_S, "autonomy")
-        if twin.state["mode"] != "HOLD":
+        if twin.state["mode"] not in ("HOLD", "FAULT"):
             break
         twin.wait(1.0)  # whatever held the rig may pass
+        if twin.state["mode"] == "FAULT":
+            # As an operator would who has read the reason: on a busy machine the server misses its ticks.
+            tally.drove = False
+            _insist(rest, twin, "reset")
     if not tally.handed_over:
         raise TrialFailedError(f"autonomy ended in {twin.state['mode']}: {twin.state['reason']}")
 
@@ -219,6 +224,20 @@ def _perform(rest: Rest, twin: TwinConsole, tally: Tally, area: str) -> None:
 
     twin.until(finished, FINISH_S, "the operator's part")
     twin.wait(0.3)
+
+
+def _insist(rest: Rest, twin: TwinConsole, ask: str) -> None:
+    """Ask for a mode until it is granted: it may be refused until the tip was seen to rest."""
+    deadline_s = time.monotonic() + ARMED_S
+    while True:
+        try:
+            rest.post("/api/v1/mode", {"ask": ask})
+        except RestError as error:
+            if error.status != HTTPStatus.CONFLICT or time.monotonic() > deadline_s:
+                raise
+            twin.wait(0.2)
+        else:
+            return
 
 
 def _ask_auto(rest: Rest, twin: TwinConsole, area: str) -> None:

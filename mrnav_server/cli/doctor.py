@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from mrnav_server.settings import Settings
 
 _PACKAGES = ("torch", "opencv-python-headless", "numpy", "scipy", "fastapi", "uvicorn", "websockets")
+_FRAME_S = 2.0
+"""A camera that gives no picture for so long is silent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,15 +178,18 @@ def _controllers(settings: "Settings") -> Iterator[Check]:
 def _camera(settings: "Settings") -> str:
     if settings.rig.camera == "simulated":
         return "simulated"
-    from mrnav_server.app.bench import build_usb_camera
+    from mrnav_server.app.bench import build_camera, camera_format
+    from mrnav_server.devices.pictures import FRAMES_TO_MEASURE
 
-    camera = build_usb_camera(settings, time.monotonic)
+    camera = build_camera(settings, time.monotonic)
+    camera.open()
     try:
-        camera.open()
+        for _ in range(FRAMES_TO_MEASURE):
+            camera.read(_FRAME_S)
     finally:
         camera.close()
     asked = settings.camera
-    return f"USB camera {asked.index} gives pictures of {asked.width_px}×{asked.height_px} px"
+    return camera_format(camera) or f"{settings.rig.camera} gives {asked.width_px}×{asked.height_px} px"
 
 
 def _attempt(name: str, look: Callable[[], str]) -> Check:

@@ -30,6 +30,7 @@ class RigCard:
         calibration: How camera, vessel and stage see each other.
         limits: The motion limits by name, units in the names.
         picture: The camera's pictures.
+        camera_format: What the camera really gives, in words; "" where nothing more is known.
     """
 
     name: str
@@ -38,6 +39,7 @@ class RigCard:
     calibration: Calibration
     limits: Mapping[str, float]
     picture: PictureFormat
+    camera_format: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,7 @@ def snapshot(
             "width_px": rig.picture.width_px,
             "height_px": rig.picture.height_px,
             "fps": rig.picture.fps,
+            "format": rig.camera_format,
         },
         "policies": [
             {"name": card.name, "kind": card.kind, "verified": card.verified, "reason": card.reason}

@@ -10,7 +10,8 @@ from mrnav_server.core.picture import PictureFormat
 RATE_TOLERANCE = 0.1
 """A rate is another one when it differs by more than this share."""
 _SETTLING_FRAMES = 5
-_MEASURED_FRAMES = 20
+FRAMES_TO_MEASURE = 25
+"""So many frames after opening, the rate is known."""
 
 
 def to_bgr(image: ByteArray, asked: PictureFormat, name: str) -> ByteArray:
@@ -57,7 +58,7 @@ class RateMeter:
         self._frames += 1
         if self._frames == _SETTLING_FRAMES:
             self._first_s = taken_s
-        if self._frames != _SETTLING_FRAMES + _MEASURED_FRAMES:
+        if self._frames != FRAMES_TO_MEASURE:
             return None
         span_s = taken_s - self._first_s
-        return _MEASURED_FRAMES / span_s if span_s > 0.0 else None
+        return (FRAMES_TO_MEASURE - _SETTLING_FRAMES) / span_s if span_s > 0.0 else None

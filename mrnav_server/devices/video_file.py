@@ -24,6 +24,8 @@ class VideoFileCamera:
     comes late misses frames, which the numbers show. As fast as possible every frame is delivered at once,
     and the capture times run ahead of the clock.
 
+    A gap in a film that is longer than the reader waits is a timeout, as with a camera.
+
     Args:
         path: The film.
         picture: The size that it must have; another rate is named and taken.
@@ -79,6 +81,7 @@ class VideoFileCamera:
         self._first_stamp_s = self._stamp_s()
         self._grabbed = True
         self._meter = RateMeter()
+        self._meter.add(self._taken_s)
         self._format = f"video file {self._asked.width_px}×{self._asked.height_px}"
 
     def read(self, timeout_s: float) -> Frame:
@@ -115,6 +118,7 @@ class VideoFileCamera:
         """Return the film with its first frame grabbed and found to be of the right size."""
         if not self._path.is_file():
             raise DeviceError(f"{self._name} does not exist: set camera.file to a video file")
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         # FFmpeg alone: other readers of OpenCV take a name with digits for a series of pictures.
         capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
         try:

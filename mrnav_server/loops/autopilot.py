@@ -103,6 +103,10 @@ class Autopilot:
         """Whether the robot rests near the target of the task."""
         return self._wish is not None and self._wish.status is FollowerStatus.ARRIVED
 
+    def use(self, follower: Follower) -> None:
+        """Take another follower; not while driving."""
+        self._follower = follower
+
     def prepare(self, path: PlannedPath, target: VesselPoint) -> None:
         """Take the path of the next task; nothing moves before :meth:`begin`."""
         self._path, self._target = path, target

@@ -101,6 +101,10 @@ class ControlLoop:
         """Why nobody would stop the manipulator if this process died, or ""."""
         self.camera_fault: Callable[[], str] = lambda: ""
         """Why the camera's pictures must not be relied on, or ""."""
+        self.drift_warning: Callable[[], str] = lambda: ""
+        """That the vessel or the camera has moved, or ""."""
+        self.drift_fault: Callable[[], str] = lambda: ""
+        """The same, when it is too far for AUTO."""
         self.device_warnings: Callable[[], list[str]] = lambda: []
         """What the manipulator's driver has to say to the operator."""
         self.beat: Callable[[bool], None] = lambda moves: None
@@ -185,6 +189,18 @@ class ControlLoop:
         self._track = track
         if track.vessel is not None:
             self._seen = track
+
+    def recalibrate(self, calibration: Calibration) -> None:
+        """Go by another calibration; where the robot was seen under the old one is forgotten.
+
+        Raises:
+            RefusedError: Unless the rig is disarmed.
+        """
+        if self.machine.mode is not Mode.DISARMED:
+            raise RefusedError("armed", "the rig is armed: disarm it first")
+        self._calibration = calibration
+        self._track = self._seen = None
+        self.generation += 1
 
     def choose_area(self, area: CriticalArea | None) -> None:
         """Make an area the active one.
@@ -288,6 +304,7 @@ class ControlLoop:
             or supervisor_fault
             or "; ".join(self.device_warnings())
             or self.camera_fault()
+            or self.drift_warning()
             or track_refusal(self._track, self._seen, self._guards, now_s),
         )
 
@@ -319,6 +336,7 @@ class ControlLoop:
             ("" if self._lease.held else "nobody controls the rig: take the lease first")
             or ("" if supervised else "nobody supervises: neither hand nor console is heard")
             or self.camera_fault()
+            or self.drift_fault()
             or track_refusal(self._track, self._seen, self._guards, now_s)
             or coupling_refusal(self.lead_um, self._guards)
             or ("" if self._area else "no critical area is chosen: mark one first")

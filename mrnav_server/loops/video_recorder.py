@@ -5,28 +5,25 @@ waits; a thread writes, and what it cannot keep up with is dropped and counted.
 """
 
 import errno
+import logging
 import queue
 import shutil
 import threading
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from mrnav_server.core.errors import ConfigError
+from mrnav_server.loops.matroska import TICKS_PER_S, MatroskaMuxer
 
 VIDEO_NAME = "video.mkv"
 FIRST_TAKEN_KEY = "FIRST_TAKEN_S"
 """Tag of the file with the capture time of its first frame, monotonic, in seconds, as in the trial's log."""
-_TICKS_PER_S = 1000
-"""Matroska's usual resolution, and the one that players expect."""
 MAX_WAITING_FRAMES = 60
 _CHECK_SPACE_FRAMES = 30
-_OPTIONS = {"cluster_time_limit": "1000", "flush_packets": "1"}
-"""What a crash leaves can be played up to its last second."""
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +31,7 @@ class VideoConfig:
     """Whether and how trials are filmed.
 
     Attributes:
-        enabled: Film every trial; needs the extra ``video``.
+        enabled: Film every trial.
         width_px: Width of the film, 64..4096; at the width and quality that viewers ask for (800 and 75) it
             costs no encoding of its own.
         quality: JPEG quality, 10..95.
@@ -56,20 +53,6 @@ class VideoConfig:
             raise ValueError("quality must lie between 10 and 95")
         if not self.min_free_mb >= 0.0:
             raise ValueError("min_free_mb must not be negative")
-
-
-def load_library() -> None:
-    """Load what writes films; during control, a first import would stall it.
-
-    Raises:
-        ConfigError: If the extra is missing.
-    """
-    try:
-        import av  # noqa: F401
-    except ImportError:
-        raise ConfigError(
-            "video.enabled needs PyAV: install mrnav-server[video], or set it to false"
-        ) from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +77,11 @@ class VideoRecorder:
 
     Args:
         path: The file; it appears with the first frame.
-        fps: Nominal frames a second, for players.
         min_free_mb: Below this much free space, in MB, it stops.
     """
 
-    def __init__(self, path: Path, fps: float, min_free_mb: float = 0.0) -> None:
+    def __init__(self, path: Path, min_free_mb: float = 0.0) -> None:
         self._path = path
-        self._fps = fps
         self._min_free_mb = min_free_mb
         self._waiting: queue.Queue[tuple[float, bytes] | None] = queue.Queue()
         self._added = self._frames = 0
@@ -132,20 +113,20 @@ class VideoRecorder:
         return VideoSummary(self._frames, self._added - self._frames, self._first_s, self._fault)
 
     def _run(self) -> None:
-        import av
-
+        film: _Film | None = None
         try:
             with ExitStack() as files:
-                film: _Film | None = None
-                while (item := self._waiting.get()) is not None:
-                    if self._frames % _CHECK_SPACE_FRAMES == 0:
+                for number, (taken_s, jpeg) in enumerate(iter(self._waiting.get, None)):
+                    if number % _CHECK_SPACE_FRAMES == 0:
                         self._require_space()
                     if film is None:
-                        film = files.enter_context(closing(_Film(self._path, self._fps, *item)))
-                        self._first_s = item[0]
-                    self._frames += film.add(*item)
-        except (av.FFmpegError, OSError) as error:
+                        film = files.enter_context(closing(_Film(self._path, taken_s, jpeg)))
+                    film.add(taken_s, jpeg)
+        except OSError as error:
             self._fault = f"the video {self._path} ended early: {error.strerror}"
+            _log.warning("%s", self._fault)
+        if film is not None and film.frames:
+            self._frames, self._first_s = film.frames, film.first_s
 
     def _require_space(self) -> None:
         free_mb = shutil.disk_usage(self._path.parent).free / 1e6
@@ -158,40 +139,59 @@ class _Film:
 
     Args:
         path: The file, made here.
-        fps: Nominal frames a second.
         taken_s: Capture time of the first frame.
         jpeg: The first frame; it sets the size.
     """
 
-    def __init__(self, path: Path, fps: float, taken_s: float, jpeg: bytes) -> None:
-        import av
-
+    def __init__(self, path: Path, taken_s: float, jpeg: bytes) -> None:
         image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
         if image is None:
             raise OSError(errno.EINVAL, "the first picture is no JPEG")
-        self._container = av.open(str(path), "w", format="matroska", options=_OPTIONS)
-        self._container.metadata[FIRST_TAKEN_KEY] = f"{taken_s:.6f}"
-        self._stream = self._container.add_stream("mjpeg", rate=Fraction(fps).limit_denominator(1001))
-        self._stream.height, self._stream.width = image.shape[:2]
-        self._stream.pix_fmt = "yuvj420p"
-        self._stream.time_base = Fraction(1, _TICKS_PER_S)
-        self._first_s = taken_s
+        height_px, width_px = image.shape[:2]
+        self._muxer = MatroskaMuxer(width_px, height_px, {FIRST_TAKEN_KEY: f"{taken_s:.6f}"})
+        # Unbuffered: a cluster is the system's, whatever happens to this process, once it is written.
+        self._file = path.open("wb", buffering=0)
+        self.first_s = taken_s
+        self.frames = 0
+        """Frames that are in the file."""
         self._last_ticks = -1
+        self._failed = False
+        try:
+            self._append(self._muxer.head)
+        except OSError:
+            self._file.close()
+            raise
 
-    def add(self, taken_s: float, jpeg: bytes) -> bool:
-        """Write a frame; False for one that is not later than the one before."""
-        import av
-
-        ticks = round((taken_s - self._first_s) * _TICKS_PER_S)
-        if ticks <= self._last_ticks:
-            return False
-        packet = av.Packet(jpeg)
-        packet.stream, packet.time_base = self._stream, Fraction(1, _TICKS_PER_S)
-        packet.pts = packet.dts = self._last_ticks = ticks
-        packet.is_keyframe = True
-        self._container.mux(packet)
-        return True
+    def add(self, taken_s: float, jpeg: bytes) -> None:
+        """Take a frame, unless it is not later than the one before."""
+        ticks = round((taken_s - self.first_s) * TICKS_PER_S)
+        if ticks > self._last_ticks:
+            self._last_ticks = ticks
+            self._append(self._muxer.add(ticks, jpeg))
 
     def close(self) -> None:
-        """Write the file's end."""
-        self._container.close()
+        """Write the file's end; after a failure, leave it as a crash would, which plays as well."""
+        with self._file:
+            if self._failed:
+                return
+            self._append(self._muxer.tail())
+            for offset, content in self._muxer.patches():
+                self._file.seek(offset)
+                self._write(content)
+
+    def _append(self, content: bytes) -> None:
+        """Write all of it or, on a full disk, none: half a cluster would swallow what follows it."""
+        end = self._file.tell()
+        try:
+            self._write(content)
+        except OSError:
+            self._file.seek(end)
+            self._file.truncate()
+            self._failed = True
+            raise
+        self.frames = self._muxer.frames
+
+    def _write(self, content: bytes) -> None:
+        rest = memoryview(content)
+        while rest:
+            rest = rest[self._file.write(rest) :]

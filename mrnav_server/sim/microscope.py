@@ -87,7 +87,7 @@ class Microscope:
         width, height = picture.width_px, picture.height_px
         # Unsigned noise around this level; everything painted is lowered by it first.
         offset = round(4 * config.noise)
-        seen_px = None if optics is None else floor_seen_um(optics, width, height) / vessel.um_per_px
+        seen_px = None if optics is None else optics.grid_seen_px(_pixels(width, height))
         floor = backdrop(vessel, calibration.image_from_vessel, width, height, self._rng, seen_px)
         self._offset = offset
         self.lay(floor)
@@ -149,5 +149,9 @@ class Microscope:
 
 def floor_seen_um(optics: Optics, width_px: int, height_px: int) -> FloatArray:
     """Return the floor point that each pixel shows, in µm, shape (height, width, 2)."""
-    columns, rows = np.meshgrid(np.arange(width_px), np.arange(height_px))
-    return optics.floor_um(np.stack([columns, rows], axis=-1))
+    return optics.floor_um(_pixels(width_px, height_px))
+
+
+def _pixels(width_px: int, height_px: int) -> FloatArray:
+    columns, rows = np.meshgrid(np.arange(width_px, dtype=np.float64), np.arange(height_px, dtype=np.float64))
+    return np.stack([columns, rows], axis=-1)

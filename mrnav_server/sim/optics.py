@@ -12,7 +12,7 @@ import numpy as np
 from mrnav_server.core.arrays import FloatArray
 from mrnav_server.core.camera_map import FloorMap, TipMap
 from mrnav_server.core.errors import ConfigError
-from mrnav_server.core.frames import Calibration, ImagePoint, StagePoint, VesselPoint
+from mrnav_server.core.frames import Affine2, Calibration, ImagePoint, StagePoint, VesselPoint
 from mrnav_server.core.picture import PictureFormat
 
 ALLOWED = {
@@ -85,9 +85,17 @@ class Optics:
         config: Tilt, distortion and water.
         plain: The bench under a camera without them; vessel, stage and heights are taken from it.
         picture: Size of the pictures.
+        lies: Where the vessel's grid pixels lie in the plain bench's grid; None is where they belong.
     """
 
-    def __init__(self, config: OpticsConfig, plain: Calibration, picture: PictureFormat) -> None:
+    def __init__(
+        self,
+        config: OpticsConfig,
+        plain: Calibration,
+        picture: PictureFormat,
+        lies: Affine2 | None = None,
+    ) -> None:
+        self._lies = lies or Affine2.scale(1.0)
         self._config = config
         self._plain = plain
         self._center_px = np.array(picture.center_px)
@@ -137,13 +145,18 @@ class Optics:
 
     def image_point(self, point: VesselPoint) -> ImagePoint:
         """Return where a point on the channel's floor appears."""
-        um = self._plain.um_per_px
-        return ImagePoint(*self.image(np.array([point.x_px * um, point.y_px * um, 0.0])).tolist())
+        um, (x_px, y_px) = self._plain.um_per_px, self._lies(point.x_px, point.y_px)
+        return ImagePoint(*self.image(np.array([x_px * um, y_px * um, 0.0])).tolist())
 
     def image_scale(self, point: VesselPoint) -> float:
         """Return how many image pixels a grid pixel spans on the channel's floor."""
-        um = self._plain.um_per_px
-        return um * float(self._floor_map.scale(np.array([point.x_px * um, point.y_px * um])))
+        um, (x_px, y_px) = self._plain.um_per_px, self._lies(point.x_px, point.y_px)
+        return um * float(self._floor_map.scale(np.array([x_px * um, y_px * um])))
+
+    def grid_seen_px(self, image_px: FloatArray) -> FloatArray:
+        """Return the vessel's grid points that pixels show, shape (..., 2)."""
+        rows = np.array(self._lies.inverse().rows())
+        return np.asarray(self.floor_um(image_px) / self._plain.um_per_px @ rows[:, :2].T + rows[:, 2])
 
     def tip_in_image(self, tip: StagePoint) -> ImagePoint:
         """Return where the magnet's centre appears."""

@@ -21,6 +21,8 @@ ARRIVED_UM = 0.1
 """A manipulator this near to its target says that it rests."""
 TOUCHING_UM = 1000.0
 """The magnet's centre comes no nearer to the robot's centre than this."""
+FARTHEST_UM = 5000.0
+"""The vessel lies no further than this from where the server is told, along each axis."""
 ALLOWED = {
     "friction": (0.0, 1.0),
     "static_ratio": (1.0, 3.0),
@@ -33,6 +35,7 @@ ALLOWED = {
     "manipulator_speed_um_per_s": (SLOWEST_UM_PER_S, 100_000.0),
     "image_um_per_px": (1.0, 100.0),
     "camera_latency_ms": (0.0, 1000.0),
+    "vessel_turn_deg": (-30.0, 30.0),
 }
 """What the simulation can compute; the ranges in ``SimConfig`` are those of the bench."""
 
@@ -54,6 +57,9 @@ class SimConfig:
         start: Where the robot begins; None is near an end of the vessel.
         image_um_per_px: Size of a camera pixel on the channel's floor, in µm.
         camera_latency_ms: From capture to delivery of a frame, in ms, 0..100.
+        vessel_shift_um: How far the vessel lies from where the server is told, along x and y in µm,
+            -5000..5000 each; the server finds out by registration.
+        vessel_turn_deg: How it is turned about its middle, from x towards y, in °, -30..30.
         seed: Seed of everything that is drawn by chance.
         magnets: The magnets and the ambient field.
         optics: Tilt and distortion of the camera, and the water over the channel.
@@ -73,6 +79,8 @@ class SimConfig:
     start: VesselPoint | None = None
     image_um_per_px: float = 15.0
     camera_latency_ms: float = 5.0
+    vessel_shift_um: tuple[float, float] = (0.0, 0.0)
+    vessel_turn_deg: float = 0.0
     seed: int = 0
     magnets: Magnets = field(default_factory=Magnets)
     optics: OpticsConfig = field(default_factory=OpticsConfig)
@@ -82,6 +90,10 @@ class SimConfig:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ConfigError(f"sim.{name} is {value:g}; choose it within {low:g}..{high:g}")
+        if not all(abs(axis_um) <= FARTHEST_UM for axis_um in self.vessel_shift_um):
+            raise ConfigError(
+                f"sim.vessel_shift_um is {self.vessel_shift_um}; choose both within ±{FARTHEST_UM:g}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +132,8 @@ class SimulatedWorld:
 
     Attributes:
         true_calibration: What the physics and the renderer follow.
-        calibration: What the server is told; its magnetic offset is wrong by ``offset_error_um``.
+        calibration: What the server is told; its magnetic offset is wrong by ``offset_error_um``, and the
+            vessel lies elsewhere if ``vessel_shift_um`` or ``vessel_turn_deg`` say so.
         optics: The camera that the renderer follows; None while ``config.optics`` is plain, when
             ``true_calibration`` says it all. Under water its maps are paraxial, the optics exact.
 
@@ -131,16 +144,18 @@ class SimulatedWorld:
     def __init__(
         self, config: SimConfig, vessel: VesselMap, picture: PictureFormat, seed: int | None = None
     ) -> None:
-        self.true_calibration = true_calibration(config, vessel, picture)
+        told = true_calibration(config, vessel, picture)
+        self.true_calibration = told.registered(_lies(config, vessel))
         self.optics = optics(config, vessel, picture)
         rng = np.random.default_rng(config.seed if seed is None else seed)
-        self.calibration = _with_offset_error(self.true_calibration, config.offset_error_um, rng)
+        self.calibration = _with_offset_error(told, config.offset_error_um, rng)
         start = config.start or start_near_an_end(vessel)
         _require_free(vessel, start)
         self._config = config
         self._vessel = vessel
+        self._vessel_from_stage = self.true_calibration.stage_from_vessel.inverse()
         self._robot = Robot(
-            config.magnets,
+            _seen_from_vessel(config),
             vessel,
             start,
             friction=config.friction,
@@ -276,13 +291,10 @@ class SimulatedWorld:
             share = min(share, self._speed_um_per_s * STEP_S / left_um)
             x, y, z = x + share * ex, y + share * ey, z + share * ez
             self._tip_um = (x, y, z)
-        origin = self.true_calibration.stage_from_vessel
+        x_px, y_px = self._vessel_from_stage(x + self._bump_um[0], y + self._bump_um[1])
         height_um = max(z - self._config.floor_z_um, TOUCHING_UM)
-        self._robot.step(
-            (x + self._bump_um[0] - origin.tx) * 1e-6,
-            (y + self._bump_um[1] - origin.ty) * 1e-6,
-            height_um * 1e-6,
-        )
+        px_m = self._vessel.um_per_px * 1e-6
+        self._robot.step(x_px * px_m, y_px * px_m, height_um * 1e-6)
 
     def _seen(self) -> Snapshot:
         return Snapshot(
@@ -291,7 +303,7 @@ class SimulatedWorld:
 
 
 def true_calibration(config: SimConfig, vessel: VesselMap, picture: PictureFormat) -> Calibration:
-    """Return the calibration that the simulated rig is built to.
+    """Return the calibration that the simulated rig is built to, with the vessel where it belongs.
 
     The vessel is centred in the image; the tip that holds a robot in the vessel's centre is centred in the
     manipulator's travel. Vessel, image and stage have parallel x and y axes.
@@ -317,7 +329,25 @@ def optics(config: SimConfig, vessel: VesselMap, picture: PictureFormat) -> Opti
     """Return the camera's exact optics, or None if they are plain."""
     if config.optics.is_plain:
         return None
-    return Optics(config.optics, _plain_calibration(config, vessel, picture), picture)
+    plain = _plain_calibration(config, vessel, picture)
+    return Optics(config.optics, plain, picture, _lies(config, vessel))
+
+
+def _lies(config: SimConfig, vessel: VesselMap) -> Affine2:
+    """Return where the vessel's grid pixels lie in the grid that the server is told."""
+    turn, half = math.radians(config.vessel_turn_deg), vessel.size_px / 2.0
+    a, c = math.cos(turn), math.sin(turn)
+    x_px, y_px = (axis_um / vessel.um_per_px for axis_um in config.vessel_shift_um)
+    return Affine2(a, -c, c, a, half - half * (a - c) + x_px, half - half * (a + c) + y_px)
+
+
+def _seen_from_vessel(config: SimConfig) -> Magnets:
+    """Return the magnets and the ambient field in the axes of a vessel that is turned."""
+    magnets, turn = config.magnets, math.radians(config.vessel_turn_deg)
+    x_t, y_t, z_t = magnets.ambient_t
+    turned_t = Affine2(math.cos(turn), math.sin(turn), -math.sin(turn), math.cos(turn), 0.0, 0.0)(x_t, y_t)
+    azimuth_deg = math.remainder(magnets.azimuth_deg - config.vessel_turn_deg, 360.0)
+    return replace(magnets, azimuth_deg=azimuth_deg, ambient_t=(*turned_t, z_t))
 
 
 def _plain_calibration(config: SimConfig, vessel: VesselMap, picture: PictureFormat) -> Calibration:

@@ -114,6 +114,10 @@ class Tracker:
         self._pictures = PictureWatch(config.darkest_gray)
         self.reset()
 
+    def recalibrate(self, calibration: Calibration) -> None:
+        """Go by another calibration from the next frame on; any thread may ask. The image stays the same."""
+        self._calibration = calibration
+
     def reset(self) -> None:
         """Forget the robot; the next frame is searched as a whole."""
         self._lose()

@@ -11,6 +11,7 @@ import { byId, setText } from "./dom.js";
 import { sentence } from "./guide.js";
 import { Messages } from "./messages.js";
 import { Overlay } from "./overlay.js";
+import { Registration } from "./registration.js";
 import { Status } from "./status.js";
 import { StopButton } from "./stop.js";
 import { Trials } from "./trial.js";
@@ -41,6 +42,7 @@ const status = new Status();
 const charts = new Charts();
 const areas = new Areas(messages, () => show());
 const trials = new Trials(messages);
+const registration = new Registration(messages, () => drawOverlay());
 const twin = new TwinClient({ onSnapshot, onState, onEvent, onLink });
 const stop = new StopButton(() => twin.ask("stop"), messages);
 const controls = new Controls(
@@ -69,6 +71,7 @@ function onSnapshot(next) {
   setText(byId("role", HTMLElement), next.role);
   areas.reset(next);
   trials.reset(next);
+  registration.reset(next);
   if (next.state) onState(next.state);
 }
 
@@ -95,6 +98,10 @@ function onEvent(event) {
       break;
     case "trial":
       if (event.mark === "reached") messages.say("Target reached", "info");
+      break;
+    case "registration":
+      if (snapshot) snapshot = { ...snapshot, calibration: event.calibration };
+      void registration.refresh();
       break;
     case "fault":
       messages.say(event.reason, "warning");
@@ -131,6 +138,7 @@ function drawOverlay() {
     areas: areas.all,
     chosen: areas.chosenId,
     newEpsilon_um: areas.newEpsilon_um,
+    outline_px: registration.outline_px,
     mayMark: snapshot.role === "operator" && isFresh(),
   });
 }
@@ -149,6 +157,7 @@ function show() {
   status.showFigures(state);
   status.showRates(state);
   trials.show(state, now_ms / 1000, fresh);
+  registration.show(state, fresh);
   const left_s = state.time_to_handover_s;
   const announced = fresh && state.mode === "AUTO" && left_s !== null && left_s <= ANNOUNCE_HANDOVER_S;
   announcement.hidden = !announced;

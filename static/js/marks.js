@@ -57,6 +57,20 @@ export function robotRing(context, [x, y], radius, sure) {
 }
 
 /**
+ * The vessel model's walls: thin closed lines.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Pair[][]} lines
+ */
+export function outline(context, lines) {
+  context.beginPath();
+  for (const line of lines) {
+    line.forEach(([x, y], index) => (index === 0 ? context.moveTo(x, y) : context.lineTo(x, y)));
+    context.closePath();
+  }
+  strokeCased(context, COLORS.text, 1);
+}
+
+/**
  * The end-effector: an open cross.
  * @param {CanvasRenderingContext2D} context
  * @param {Pair} at

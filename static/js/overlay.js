@@ -4,7 +4,7 @@
  */
 
 import { apply, scaleOf } from "./geometry.js";
-import { criticalArea, pathLine, robotRing, scaleBar, tag, tipCross } from "./marks.js";
+import { criticalArea, outline, pathLine, robotRing, scaleBar, tag, tipCross } from "./marks.js";
 
 /** @import { CriticalArea, Pair, Snapshot, State } from "./types.js" */
 
@@ -17,6 +17,7 @@ const SCALE_BAR_UM = 2000;
  * @property {CriticalArea[]} areas
  * @property {string | null} chosen Id of the area that Auto would go to.
  * @property {number} newEpsilon_um Radius of an area marked now.
+ * @property {Pair[][]} outline_px The vessel model's walls in the image; none while nobody registers.
  * @property {boolean} mayMark Whether a click marks an area.
  */
 
@@ -126,6 +127,7 @@ export class Overlay {
     const zoom = this.#zoom(snapshot);
     const css_per_um = (scaleOf(image_from_vessel) * zoom) / um_per_px;
 
+    outline(context, scene.outline_px.map((line) => line.map((point) => this.#onScreen(point, zoom))));
     for (const area of scene.areas) {
       const { at, radius } = this.#place(area, scene);
       const is = { chosen: area.id === scene.chosen, active: area.id === state.critical_area };

@@ -86,10 +86,21 @@
  * @property {{image_from_vessel: AffineRows, stage_from_vessel: AffineRows, um_per_px: number,
  *   floor_z_um: number, magnet_offset_um: Pair, critical_height_um: number}} calibration
  * @property {Record<string, unknown>} limits
- * @property {{width_px: number, height_px: number, fps: number}} camera
+ * @property {{width_px: number, height_px: number, fps: number, format: string}} camera
  * @property {Policy[]} policies
  * @property {CriticalArea[]} critical_areas
  * @property {State | null} state Null before the first control step.
+ */
+
+/**
+ * Where the vessel model lies, relative to where the calibration has it.
+ * @typedef {object} RegistrationAnswer
+ * @property {number | null} overlap Dice coefficient of seen and modelled lumen, 0..1.
+ * @property {number | null} residual_um
+ * @property {{dx_um: number, dy_um: number, turn_deg: number}} pose
+ * @property {Pair[][]} outline_px The model's walls in the image, closed lines.
+ * @property {boolean} [accepted] In the answer to an ask.
+ * @property {string} [reason]
  */
 
 /**
@@ -97,6 +108,7 @@
  *   {event: "areas", critical_areas: CriticalArea[]} |
  *   {event: "handover", by: "arrival" | "takeover"} |
  *   {event: "fault", reason: string} |
+ *   {event: "registration", calibration: Snapshot["calibration"]} |
  *   {event: "trial", mark: "start" | "go" | "reached" | "end"} |
  *   {event: "mode" | "handover_announced" | "contact" | "lease"}
  * )} TwinEvent

@@ -10,6 +10,7 @@ import numpy as np
 from fastapi import FastAPI
 
 from mrnav_server.app.serve import RigServer, _uvicorn_config, bound_socket
+from mrnav_server.app.video import VideoEncoder
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.frames import Affine2, Calibration, ImagePoint, VesselPoint
@@ -82,6 +83,22 @@ class FakeTrials:
         return {"id": trial_id, "duration_s": 1.0}
 
 
+class FakeRegistration:
+    def __init__(self, note: Callable[..., None]) -> None:
+        self._note = note
+
+    def state(self) -> dict[str, Any]:
+        return {"registered": False}
+
+    async def find(self, session: str) -> dict[str, Any]:
+        self._note("find", session)
+        return {"accepted": True}
+
+    async def adjust(self, session: str, dx_um: float, dy_um: float, turn_deg: float) -> dict[str, Any]:
+        self._note("adjust", session, str((dx_um, dy_um, turn_deg)))
+        return {"accepted": True}
+
+
 class FakeRig:
     """Satisfies ``app.rig_port.RigPort``."""
 
@@ -98,6 +115,7 @@ class FakeRig:
         )
         self.states: Latest[RigState] = Latest()
         self.frames: Latest[Frame] = Latest()
+        self.encoder = VideoEncoder(self.frames)
         self.events = EventBus()
         self.areas = CriticalAreas(self.vessel)
         self.hand_port = 0
@@ -108,6 +126,7 @@ class FakeRig:
         self.failure: Exception | None = None
         self.closing: Callable[[], None] | None = None
         self.trials = FakeTrials(self._note)
+        self.registration = FakeRegistration(self._note)
 
     @property
     def console(self) -> "FakeRig":

@@ -39,6 +39,8 @@ ROUTES: dict[tuple[str, str], tuple[str, Any, int]] = {
     ("POST", "/api/v1/mode"): (CONTROL, {"ask": "arm"}, 200),
     ("POST", "/api/v1/lease"): (CONTROL, {}, 200),
     ("DELETE", "/api/v1/lease"): (CONTROL, None, 204),
+    ("GET", "/api/v1/registration"): (WATCH, None, 200),
+    ("POST", "/api/v1/registration"): (CONTROL, {"auto": True}, 200),
     ("GET", "/api/v1/trials"): (WATCH, None, 200),
     ("POST", "/api/v1/trials"): (CONTROL, TRIAL, 201),
     ("GET", "/api/v1/trials/{trial_id}"): (WATCH, None, 200),

@@ -30,7 +30,7 @@ def test_the_camera_delivers_the_pictures_that_the_twin_announces(rig: Rig) -> N
     camera = build_bench(SETTINGS, rig.vessel, lambda: now_s).camera
     camera.open()
     announced = rig.snapshot("s1", "viewer")["camera"]
-    assert announced == {"width_px": 400, "height_px": 300, "fps": 20.0}
+    assert announced == {"width_px": 400, "height_px": 300, "fps": 20.0, "format": ""}
     assert camera.read(1.0).image.shape == (announced["height_px"], announced["width_px"], 3)
     now_s += 3.0 / announced["fps"]
     assert camera.read(1.0).number == 3

@@ -174,7 +174,7 @@ def test_a_snapshot_describes_the_rig() -> None:
         "s9", "viewer", rig, [PolicyCard("ppo", "torchscript", False, "other map")], areas, STATE
     )
     assert message["rig"] == {"simulated": True, "name": "simulated rig"}
-    assert message["camera"] == {"width_px": 800, "height_px": 600, "fps": 25.0}
+    assert message["camera"] == {"width_px": 800, "height_px": 600, "fps": 25.0, "format": ""}
     assert message["vessel"] == {
         "name": "straight",
         "size_px": 8,

@@ -2,10 +2,8 @@
 
 import itertools
 import math
-from fractions import Fraction
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 import pytest
@@ -15,7 +13,9 @@ from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.errors import DeviceError, DeviceTimeoutError
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame
+from mrnav_server.devices.pictures import FRAMES_TO_MEASURE
 from mrnav_server.devices.video_file import VideoFileCamera
+from mrnav_server.loops.video_recorder import VideoRecorder
 from mrnav_server.settings import CameraConfig, RigConfig, Settings
 from mrnav_server.vision.model_store import find_model
 from mrnav_server.vision.vessel_model import load_vessel_model
@@ -64,15 +64,10 @@ def avi(path: Path, frames: int, fps: float = 30.0, width_px: int = 80) -> Path:
 
 
 def matroska(path: Path, stamps_s: tuple[float, ...]) -> Path:
-    with av.open(str(path), "w") as film:
-        stream = film.add_stream("mjpeg", rate=30)
-        stream.width, stream.height, stream.pix_fmt = 80, 64, "yuvj420p"
-        for number, stamp_s in enumerate(stamps_s):
-            _, jpeg = cv2.imencode(".jpg", picture(10 * number))
-            packet = av.Packet(jpeg.tobytes())
-            packet.stream, packet.time_base = stream, Fraction(1, 1000)
-            packet.pts = packet.dts = round(1000 * stamp_s)
-            film.mux(packet)
+    recorder = VideoRecorder(path)
+    for number, stamp_s in enumerate(stamps_s):
+        recorder.add(stamp_s, cv2.imencode(".jpg", picture(10 * number))[1].tobytes())
+    assert recorder.finish().frames == len(stamps_s)
     return path
 
 
@@ -146,7 +141,7 @@ def test_a_frame_that_is_due_later_is_a_timeout_and_comes_then(tmp_path: Path) -
     cinema.camera.open()
     cinema.read(1)
     for _ in range(3):
-        with pytest.raises(DeviceTimeoutError, match="no frame within 0.5 s"):
+        with pytest.raises(DeviceTimeoutError, match=r"no frame within 0\.5 s"):
             cinema.camera.read(0.5)
     assert cinema.now_s == pytest.approx(51.5)
     assert cinema.camera.read(1.0).taken_s == pytest.approx(52.0, abs=1e-3)
@@ -190,10 +185,10 @@ def test_what_cannot_be_played_is_named(tmp_path: Path, capfd: pytest.CaptureFix
 def test_another_rate_is_named_and_played(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, fps: float, warned: bool
 ) -> None:
-    cinema = Cinema(avi(tmp_path / "film.avi", 26, fps))
+    cinema = Cinema(avi(tmp_path / "film.avi", FRAMES_TO_MEASURE, fps))
     assert cinema.camera.format == ""
     cinema.camera.open()
-    cinema.read(26)
+    cinema.read(FRAMES_TO_MEASURE)
     assert cinema.camera.format.startswith(f"video file 80×64 at {fps:.1f} fps")
     assert ("set camera.fps = 15" in cinema.camera.format) is warned
     assert ("gives 15.0 fps, not 30" in caplog.text) is warned
