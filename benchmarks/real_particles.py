@@ -1,11 +1,11 @@
 """The tracker on photographs of real round things, against independent locators; prints one JSON object.
 
-Run: ``python -m benchmarks.real_particles``. Nothing in these pictures is simulated, and nobody knows the true
-places: what is measured is how far two methods that share no code are apart. Pictures are fetched into
+Run: ``python -m benchmarks.real_particles``. Nothing in these pictures is simulated, and nobody knows the
+true places: what is measured is how far two methods that share no code are apart. Pictures are fetched into
 ``~/.cache/mrnav/real-particles`` (or ``MRNAV_REAL_PARTICLES``) and are no part of this project:
 
-- ``microspheres``: 50 bright-field frames of five 2.12 µm colloidal spheres that diffuse on a substrate, from the
-  examples of trackpy (BSD 3-clause or CC BY 3.0, trackpy-examples contributors), fetched with git.
+- ``microspheres``: 50 bright-field frames of five 2.12 µm colloidal spheres that diffuse on a substrate, from
+  the examples of trackpy (BSD 3-clause or CC BY 3.0, trackpy-examples contributors), fetched with git.
 - ``coins``: a photograph of 24 ancient coins, part of scikit-image (Brooklyn Museum, no known copyright
   restrictions). Coins are worn and not quite round: the difference is theirs too.
 """
@@ -20,12 +20,10 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
-from skimage import data, filters, measure, morphology
-from skimage.segmentation import watershed
 
 from mrnav_server.core.arrays import ByteArray, FloatArray
 from mrnav_server.core.errors import RefusedError
@@ -36,6 +34,11 @@ from mrnav_server.vision.rim import RimFit
 from mrnav_server.vision.sphere import SphereDetector
 from mrnav_server.vision.tracker import Tracker, TrackerConfig
 
+# scikit-image is typed in part only.
+data, filters, measure, morphology, segmentation = (
+    cast(Any, importlib.import_module(f"skimage.{name}"))
+    for name in ("data", "filters", "measure", "morphology", "segmentation")
+)
 SPHERES_URL = "https://github.com/soft-matter/trackpy-examples"
 SPHERES_COMMIT = "09fb3074a173585d48b5001b5b4b7e6479999598"
 SPHERES_FOLDER = "sample_data/brightfield"
@@ -48,7 +51,7 @@ HALF_PX = 45
 UM_PER_PX = 15.0
 """The tracker's scale: only pixels matter here."""
 MATCH_RADII = 0.3
-"""A place further than this from the sphere is false."""
+"""Two places further apart than this are a gross difference."""
 Point = tuple[float, float]
 Locator = Callable[[ByteArray, Point, float], Point | None]
 
@@ -163,7 +166,17 @@ def trackpy_ring(cache: Path) -> Locator | None:
     """Return trackpy's bright-field ring locator, installed beside the pictures; None if it cannot be had."""
     folder = cache / "trackpy"
     if not folder.exists():
-        command = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(folder), *TRACKPY]
+        command = [
+            sys.executable,
+            "-m",
+            "pip",
+            "install",
+            "-q",
+            "--no-deps",
+            "--target",
+            str(folder),
+            *TRACKPY,
+        ]
         if subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode != 0:
             return None
     sys.path.append(str(folder))
@@ -231,8 +244,8 @@ def colour(gray: ByteArray) -> ByteArray:
 
 def microspheres(frames: list[ByteArray], locators: dict[str, Locator], scale: int) -> dict[str, Any]:
     """Follow each sphere through the film; ``scale`` enlarges the pictures for the tracker alone."""
-    looks = [measured(window(frames[0], first, scale)[0]) for first in FIRST_PX]
-    radius_px = float(np.median([look.radius_px for look in looks if look is not None]))
+    looks = [measured(window(frames[0], first, 1)[0]) for first in FIRST_PX]
+    radius_px = scale * float(np.median([look.radius_px for look in looks if look is not None]))
     config = TrackerConfig(robot_radius_um=radius_px * UM_PER_PX)
     rim = RimFit(radius_px, config.edge_strength, config.systematic_um / UM_PER_PX)
     detector = SphereDetector(rim, config.radius_tolerance)
@@ -270,7 +283,10 @@ def microspheres(frames: list[ByteArray], locators: dict[str, Locator], scale: i
     result: dict[str, Any] = {
         "n": total,
         "radius_px": round(radius_px, 2),
-        "measured": sum(look is not None for look in looks),
+        "measured_radii_px": [
+            None if look is None else [look.polarity, round(look.radius_px / scale, 2)]
+            for look in (measured(window(frames[0], first, scale)[0]) for first in FIRST_PX)
+        ],
         "found": round(found / total, 3),
         "tracked": round(len(tracked) / total, 3),
         "false": false,
@@ -301,7 +317,7 @@ def microspheres(frames: list[ByteArray], locators: dict[str, Locator], scale: i
             **summary(off_px, group, native_radius_px),
             **against_sigma(off_px, sigma),
             "not_found_by_it": rough,
-            "false_by_it": int(np.sum(np.hypot(off_px[:, 0], off_px[:, 1]) > MATCH_RADII * native_radius_px)),
+            "gross": int(np.sum(np.hypot(off_px[:, 0], off_px[:, 1]) > MATCH_RADII * native_radius_px)),
             "ms": round(1e3 * taken_s / max(len(ours), 1), 2),
         }
     result["apart"] = pairs(places, native_radius_px)
@@ -316,18 +332,20 @@ def pairs(places: dict[str, dict[tuple[int, int], Point]], radius_px: float) -> 
         for second in names[number + 1 :]:
             both = sorted(set(places[first]) & set(places[second]))
             off = [np.subtract(places[first][key], places[second][key]) for key in both]
-            figures = summary(np.array(off, dtype=np.float64).reshape(-1, 2), [key[0] for key in both], radius_px)
+            figures = summary(
+                np.array(off, dtype=np.float64).reshape(-1, 2), [key[0] for key in both], radius_px
+            )
             apart[f"{first} - {second}"] = figures
     return apart
 
 
 def coins() -> dict[str, Any]:
-    """Measure each coin in the photograph, enlarged twice, against its segmented outline."""
+    """Fit each coin, started from the outline of its segmentation and with its radius, and compare."""
     photograph = np.asarray(data.coins(), np.uint8)
     edges = filters.sobel(filters.gaussian(photograph, 1.0))
     markers = np.zeros(photograph.shape, np.int32)
     markers[photograph < 30], markers[photograph > 150] = 1, 2
-    solid = morphology.opening(watershed(edges, markers) == 2, morphology.disk(4))
+    solid = morphology.opening(segmentation.watershed(edges, markers) == 2, morphology.disk(4))
     regions = [r for r in measure.regionprops(measure.label(solid)) if 600 < r.area < 4000]
     off, sigma, group, radii, confident = [], [], [], [], 0
     for index, region in enumerate(regions):
@@ -348,7 +366,9 @@ def coins() -> dict[str, Any]:
         "n": len(regions),
         "found": round(confident / max(len(regions), 1), 3),
         "radius_px": round(float(np.median(radii)), 2) if radii else None,
-        "against": {"outline": {**summary(off_px, group, float(np.median(radii))), **against_sigma(off_px, sigma)}},
+        "against": {
+            "outline": {**summary(off_px, group, float(np.median(radii))), **against_sigma(off_px, sigma)}
+        },
     }
 
 

@@ -12,6 +12,8 @@ _CANDIDATES = 6
 _MATCH_MIN = 0.35
 _CERTAIN = 0.75
 """A candidate as good as this ends the search."""
+_RIM_SHARE = 0.3
+"""Width of the rim of a sphere that focuses light into its middle, in radii."""
 
 
 class Redetector:
@@ -31,7 +33,13 @@ class Redetector:
         half = int(radius_px) + 6
         grid = np.arange(-half, half + 1, dtype=np.float32)
         inside = np.clip(radius_px - np.hypot(grid[None, :], grid[:, None]) + 0.5, 0.0, 1.0)
-        self._template: Float32Array = (-inside if rim.polarity == "dark" else inside).astype(np.float32)
+        hollow = inside - np.clip(
+            (1.0 - _RIM_SHARE) * radius_px - np.hypot(grid[None, :], grid[:, None]) + 0.5, 0.0, 1.0
+        )
+        sign = -1.0 if rim.polarity == "dark" else 1.0
+        self._disc: Float32Array = (sign * inside).astype(np.float32)
+        # A clear sphere is dark at its rim alone: its middle is a lens and as bright as what surrounds it.
+        self._ring: Float32Array = (sign * hollow).astype(np.float32)
         self._half = half
         self._blank_px = max(1, round(0.8 * radius_px))
 
@@ -41,27 +49,36 @@ class Redetector:
         Args:
             image: Shape (height, width, 3), BGR, uint8.
         """
+        small = self._small(image)
         best: RimEstimate | None = None
-        for x_px, y_px in self._candidates(image):
-            found = self._rim.fit_in(image, x_px, y_px)
-            if abs(found.radius_px - self._rim.radius_px) > self._tolerance_px or found.confidence == 0.0:
-                continue
-            if best is None or found.confidence > best.confidence:
-                best = found
-            if best.confidence > _CERTAIN:
-                break
+        for template in (self._disc, self._ring):
+            for x_px, y_px in self._candidates(image, small, template):
+                found = self._rim.fit_in(image, x_px, y_px)
+                if abs(found.radius_px - self._rim.radius_px) > self._tolerance_px or found.confidence == 0.0:
+                    continue
+                if best is None or found.confidence > best.confidence:
+                    best = found
+                if best.confidence > _CERTAIN:
+                    return best
         return best
 
-    def _candidates(self, image: ByteArray) -> Iterator[tuple[float, float]]:
-        """Yield where the template fits best, best first, in full-scale pixels."""
+    def _small(self, image: ByteArray) -> Float32Array:
+        """Return a small gray copy of a picture, with a margin."""
         step, half = self._step, self._half
         size = (image.shape[1] // step, image.shape[0] // step)
         # Every other row says enough about a disc that is several small pixels wide.
         gray = cv2.cvtColor(image[:: max(1, step // 2)], cv2.COLOR_BGR2GRAY)
         small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
         # A robot at the picture's edge would have no place for the template's centre otherwise.
-        small = cv2.copyMakeBorder(small, half, half, half, half, cv2.BORDER_REPLICATE).astype(np.float32)
-        match = cv2.matchTemplate(small, self._template, cv2.TM_CCOEFF_NORMED)
+        margined = cv2.copyMakeBorder(small, half, half, half, half, cv2.BORDER_REPLICATE)
+        return margined.astype(np.float32)
+
+    def _candidates(
+        self, image: ByteArray, small: Float32Array, template: Float32Array
+    ) -> Iterator[tuple[float, float]]:
+        """Yield where a template fits best, best first, in full-scale pixels."""
+        step = self._step
+        match = cv2.matchTemplate(small, template, cv2.TM_CCOEFF_NORMED)
         for _ in range(_CANDIDATES):
             _, score, _, (column, row) = cv2.minMaxLoc(match)
             if score < _MATCH_MIN:

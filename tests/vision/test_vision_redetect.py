@@ -1,5 +1,6 @@
 """Re-detection over whole pictures."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -51,3 +52,16 @@ def test_a_robot_of_another_size_is_not_taken(bench: Bench) -> None:
         bench.microscope.render(VesselPoint(800.0, 900.0), bench.tip_hiding(VesselPoint(0, 0)))
     )
     assert found is None or found.confidence < 0.3
+
+
+@pytest.mark.parametrize("radius_px", [10.3, 33.3])
+def test_a_clear_sphere_with_a_bright_middle_is_found(radius_px: float) -> None:
+    y, x = np.mgrid[0:400, 0:500]
+    away = np.hypot(x - 231.4, y - 187.7) / radius_px
+    picture = 140.0 - 60.0 * (np.abs(away - 0.82) < 0.18) + 100.0 * (away < 0.6)
+    picture += np.random.default_rng(3).normal(0.0, 2.0, picture.shape)
+    gray = cv2.GaussianBlur(np.clip(picture, 0, 255).astype(np.uint8), (0, 0), 1.0)
+    found = redetector(radius_px).find(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR).astype(np.uint8))
+    assert found is not None
+    assert np.hypot(found.x_px - 231.4, found.y_px - 187.7) < 0.1
+    assert found.confidence > 0.7
