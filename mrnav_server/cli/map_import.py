@@ -13,7 +13,10 @@ from mrnav_server.core.errors import ConfigError
 def import_model(
     image: Annotated[Path, typer.Argument(help="Photograph or mask: PNG, JPEG or TIFF.")],
     um_per_px: Annotated[
-        float | None, typer.Option(metavar="X", help="Size of one of its pixels in µm (needed).")
+        float | None, typer.Option(metavar="X", help="Size of one of its pixels in µm.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Calibration of the microscope that took it, in place of the size.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="The model's folder; ./NAME if left out.")] = None,
     name: Annotated[str | None, typer.Option(help="The model's name; the picture's if left out.")] = None,
@@ -31,10 +34,12 @@ def import_model(
     """Turn a photograph of a printed vessel, or a mask, into a vessel model, with a report and a preview."""
     from mrnav_server.training.map_import import PREVIEW_FILE, import_map
 
-    if um_per_px is None:
+    if calibration is not None and um_per_px is None:
+        um_per_px = _scale_of(calibration, image)
+    elif calibration is not None or um_per_px is None:
         raise ConfigError(
-            "scale: give the size of one pixel with --um-per-px X; measure a known length in the photograph,"
-            " and divide it in µm by its pixels"
+            "scale: give the size of one pixel with --um-per-px X, or the microscope's --calibration FILE,"
+            " not both; measure a known length in the photograph, and divide it in µm by its pixels"
         )
     found = import_map(image, um_per_px, out, name, _parsed(crop), polarity, robot_radius_um)
     what = "a mask" if found.drawn else "a photograph"
@@ -42,6 +47,22 @@ def import_model(
     typer.echo(f"{found.report.vessel.name} is in {found.folder}; look at {found.folder / PREVIEW_FILE}")
     if json_output:
         typer.echo(json.dumps(found.report.record()))
+
+
+def _scale_of(calibration: Path, image: Path) -> float:
+    """Return µm per pixel in the middle of the calibrated pictures, if the photograph is one of them."""
+    from mrnav_server.training.photograph import read_photograph
+    from mrnav_server.vision.calibration_file import read_calibration
+
+    file = read_calibration(calibration)
+    height, width = read_photograph(image).shape[:2]
+    if (width, height) != (file.camera.width_px, file.camera.height_px):
+        asked = f"{file.camera.width_px} x {file.camera.height_px} px"
+        raise ConfigError(
+            f"calibration: {calibration} is for pictures of {asked}, {image} has {width} x {height}:"
+            " give --um-per-px instead"
+        )
+    return file.um_per_px
 
 
 def _parsed(crop: str | None) -> tuple[int, int, int, int] | None:

@@ -4,6 +4,7 @@ import hashlib
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import orjson
 from pydantic import ValidationError
 
@@ -54,6 +55,12 @@ class CalibrationFile(Part):
     magnet: MagnetPart
     vessel: VesselPose = VesselPose()
     sha256: str = ""
+
+    @property
+    def um_per_px(self) -> float:
+        """Size of a pixel on the floor, in the middle of the picture."""
+        middle = self.floor.map.floor(np.array([self.camera.width_px / 2.0, self.camera.height_px / 2.0]))
+        return 1.0 / float(self.floor.map.scale(middle))
 
     def digest(self) -> str:
         """Return the sha256 of everything but itself, 64 hex digits."""

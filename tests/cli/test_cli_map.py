@@ -10,7 +10,9 @@ from typer.testing import CliRunner
 
 from mrnav_server.cli.map import models
 from mrnav_server.core.errors import ConfigError
+from mrnav_server.vision.calibration_file import save_calibration
 from mrnav_server.vision.vessel_model import load_vessel_model
+from tests.vision.test_calibration_file import made
 
 
 def run(*arguments: str) -> str:
@@ -39,6 +41,24 @@ def test_import_ends_with_the_figures(image: str, tmp_path: Path) -> None:
     free = load_vessel_model(tmp_path / "model").free
     assert answer["free_fraction"] == pytest.approx(free.mean(), abs=1e-5)
     assert "taken as a mask, bright lumen" in text
+
+
+def test_import_takes_the_scale_from_a_calibration_of_that_camera(tmp_path: Path) -> None:
+    file = made()
+    save_calibration(file, tmp_path / "microscope.json")
+    mask = np.zeros((file.camera.height_px, file.camera.width_px), np.uint8)
+    mask[500:700] = 255
+    for name, picture in (("whole.png", mask), ("half.png", mask[::2])):
+        assert cv2.imwrite(str(tmp_path / name), picture)
+    scale = ("--calibration", str(tmp_path / "microscope.json"), "--out", str(tmp_path / "model"))
+    text = run("import", str(tmp_path / "whole.png"), *scale, "--json")
+    long_um = json.loads(text.splitlines()[-1])["length_um"]
+    assert long_um == pytest.approx(file.camera.width_px * file.um_per_px, rel=0.05)
+    middle = np.array([file.camera.width_px, file.camera.height_px]) / 2.0
+    two = file.floor.map.floor(np.stack([middle - (0.5, 0.0), middle + (0.5, 0.0)]))
+    assert file.um_per_px == pytest.approx(float(np.hypot(*(two[1] - two[0]))), rel=0.01)
+    with pytest.raises(ConfigError, match="give --um-per-px instead"):
+        run("import", str(tmp_path / "half.png"), *scale)
 
 
 def test_import_crops_and_takes_the_side_that_it_is_told(image: str, tmp_path: Path) -> None:
