@@ -55,7 +55,7 @@ def test_import_takes_the_scale_from_a_calibration_of_that_camera(tmp_path: Path
     long_um = json.loads(text.splitlines()[-1])["length_um"]
     assert long_um == pytest.approx(file.camera.width_px * file.um_per_px, rel=0.05)
     middle = np.array([file.camera.width_px, file.camera.height_px]) / 2.0
-    two = file.floor.map.floor(np.stack([middle - (0.5, 0.0), middle + (0.5, 0.0)]))
+    two = file.floor.map.floor(middle + np.array([[-0.5, 0.0], [0.5, 0.0]]))
     assert file.um_per_px == pytest.approx(float(np.hypot(*(two[1] - two[0]))), rel=0.01)
     with pytest.raises(ConfigError, match="give --um-per-px instead"):
         run("import", str(tmp_path / "half.png"), *scale)
