@@ -14,7 +14,7 @@ from mrnav_server.training.vessels import SIZE_PX, Branch, paint
 from mrnav_server.vision.vessel_model import save_vessel_model, vessel_map
 
 _EDGE_PX = 170.0
-"""Nodes keep so far from the grid's edge: the widest vessel fits between."""
+"""Nodes and middles keep so far from the grid's edge: the widest vessel fits between."""
 _APART_PX = 400.0
 """Nodes keep so far from each other that there is tissue between their vessels."""
 _NODES = (6, 10)
@@ -55,7 +55,8 @@ def _network(random: np.random.Generator) -> tuple[FloatArray, list[Branch]]:
     for a, b in _vessels(nodes_px, random):
         way = nodes_px[b] - nodes_px[a]
         aside = np.array([-way[1], way[0]]) * random.uniform(-_BEND, _BEND)
-        x, y = (nodes_px[a] + nodes_px[b]) / 2 + aside
+        middle_px = (nodes_px[a] + nodes_px[b]) / 2 + aside
+        x, y = np.clip(middle_px, _EDGE_PX, SIZE_PX - _EDGE_PX)
         middle = (float(x), float(y), float(random.uniform(*_VESSEL_WIDTH_PX)))
         branches.append((_point(nodes_px[a], width_px[a]), middle, _point(nodes_px[b], width_px[b])))
     return nodes_px, branches

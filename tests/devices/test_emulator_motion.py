@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mrnav_server.devices.sensapex.emulated_motion import TRAVEL_UM, Axis, Goal, Stage, trapezoid
@@ -63,6 +63,8 @@ def test_a_new_goal_behind_it_turns_without_a_jump() -> None:
     assert axis.state(5.0) == (5500.0, 0.0)
 
 
+# Braking must begin at this very moment: there is nothing to do but brake.
+@example(1.0, Goal(0.0, 1.0, 501.0), Goal(0.0, 1.0, 500.0), 1.0, 0.0)
 @given(positions, goals, goals, st.floats(0.0, 3.0), st.floats(0.0, 20.0))
 def test_wherever_it_turns_it_is_steady_within_its_limits_and_arrives(
     start_um: float, first: Goal, second: Goal, turn_s: float, later_s: float

@@ -43,7 +43,7 @@ def trapezoid(at_um: float, velocity_um_per_s: float, goal: Goal) -> tuple[Leg, 
     gap, v = toward * gap, toward * velocity_um_per_s
     peak = min(goal.speed_um_per_s, math.sqrt(max(a * gap + v * v / 2, 0.0)))
     if peak == 0.0:
-        return ()
+        return ((abs(v) / a, -math.copysign(a, v) * toward),) if v else ()
     first = math.copysign(a, peak - v)
     cruise_um = gap - (peak * peak - v * v) / (2 * first) - peak * peak / (2 * a)
     return (
