@@ -15,7 +15,7 @@ PIP := $(PY) -m pip --disable-pip-version-check install --quiet $(PIP_FLAGS)
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 
-.PHONY: help run demo test check check-static test-slow test-ray faults bench clean
+.PHONY: help run demo test check check-static test-slow explore test-ray faults bench clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1|\2/' | column -t -s '|'
@@ -42,6 +42,10 @@ check-static: $(VENV)/.installed-test static/node_modules/.installed
 
 test-slow: $(VENV)/.installed-test ## Run the tests that take minutes
 	$(PY) -m pytest -m "slow and not ray" --timeout 3600
+
+explore: $(VENV)/.installed-test ## Look for inputs that break what must always hold
+	$(PY) -m pytest -m "not slow and not ray and not browser" --hypothesis-profile explore --timeout 1800 \
+		$$(grep -rl "^from hypothesis import" tests --include 'test_*.py')
 
 test-ray: $(VENV)/.installed-test ## Run sweeps on two local Ray nodes
 	$(PIP) --editable '.[ray]'
