@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Iterator
 import pytest
 from hypothesis import settings
 
-# The same examples every time, so that a change is judged by what it changes; `make explore` looks for new ones.
+# The same examples every time: a change is judged by what it changes. `make explore` looks for new ones.
 settings.register_profile("same", derandomize=True)
 settings.register_profile("explore", max_examples=1000, print_blob=True)
 settings.load_profile("same")
