@@ -32,6 +32,7 @@ from mrnav_server.loops.autopilot import AutopilotConfig
 from mrnav_server.loops.control import ControlConfig
 from mrnav_server.loops.guards import GuardConfig
 from mrnav_server.loops.hand_link import HandLinkConfig
+from mrnav_server.loops.handover import HandoverConfig
 from mrnav_server.loops.recorder import RecorderConfig
 from mrnav_server.loops.supervisor import SupervisorConfig
 from mrnav_server.loops.trial_marks import TrialConfig
@@ -174,6 +175,7 @@ class Settings(BaseModel):
     hand: HandConfig = HandConfig()
     hand_link: HandLinkConfig = HandLinkConfig()
     control: ControlConfig = ControlConfig()
+    handover: HandoverConfig = HandoverConfig()
     path: PathConfig = PathConfig()
     autopilot: AutopilotConfig = AutopilotConfig()
     trial: TrialConfig = TrialConfig()

@@ -114,7 +114,7 @@ class ConsoleDesk:
         if area_id is not None:
             self._control.choose_area(self._areas.get(area_id))
         self._control.check(Ask.AUTO, self._clock())
-        area, robot = self._control.area, self._control.robot
+        area, robot = self._control.scene.area, self._control.scene.robot
         if area is None or robot is None:
             raise RuntimeError("the guards of AUTO let a task without a start or a goal pass")
         generation = self._control.generation
@@ -123,7 +123,7 @@ class ConsoleDesk:
             raise RefusedError("overtaken", "the rig was used while the path was planned: ask again")
         self.require_lease(session)
         self._control.check(Ask.AUTO, self._clock())
-        self._navigator.autopilot.prepare(path, area.center)
+        self._navigator.prepare(path, area)
         if path.fallback:
             self._herald.announce("fault", {"reason": f"the geodesic stands in: {path.fallback}"})
 

@@ -8,6 +8,7 @@ from mrnav_server.autonomy.follower import Follower
 from mrnav_server.autonomy.path import PathPlanner, PlannedPath
 from mrnav_server.autonomy.policy import Policy, PolicyError
 from mrnav_server.core.frames import Calibration, VesselPoint
+from mrnav_server.core.records import CriticalArea
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import PolicyCard
 from mrnav_server.loops.autopilot import Autopilot, PathOrder
@@ -19,13 +20,14 @@ class Navigator:
     """Everything that autonomy needs.
 
     Args:
-        settings: Sections ``rig``, ``path``, ``follower`` and ``autopilot``.
+        settings: Sections ``rig``, ``path``, ``follower``, ``autopilot`` and ``handover``.
         vessel: The vessel model.
         calibration: How camera, vessel model and manipulator see each other.
     """
 
     def __init__(self, settings: Settings, vessel: VesselMap, calibration: Calibration) -> None:
         self._config = settings.autopilot
+        self._handover = settings.handover
         self._follower_config = settings.follower
         self._path_config = settings.path
         self._folder = find_model(settings.rig.vessel)
@@ -60,6 +62,11 @@ class Navigator:
             RefusedError: If there is none.
         """
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._plan, start, target)
+
+    def prepare(self, path: PlannedPath, area: CriticalArea) -> None:
+        """Have the autopilot take a path to an area; nothing moves before AUTO begins."""
+        slow_um = area.epsilon_um if self._handover.announced else 0.0
+        self.autopilot.prepare(path, area.center, slow_um)
 
     async def plan_order(self, order: PathOrder) -> PlannedPath | None:
         """Plan what the autopilot ordered; None if there is no way off the target."""

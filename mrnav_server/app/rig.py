@@ -82,7 +82,7 @@ class Rig:
         self.hand = HandControl(settings.hand, settings.limits.speed_um_per_s)
         self.navigator = Navigator(settings, self.vessel, self.calibration)
         self.control = ControlLoop(
-            settings.control,
+            settings.handover,
             settings.guards,
             settings.limits,
             self.bench.manipulator,
@@ -145,11 +145,15 @@ class Rig:
             record=self.herald.record,
             clock=clock,
         )
-        self.control.recorder_fault = lambda: self._recorder.fault or ""
-        self.control.camera_fault = lambda: self._camera_fault
-        self.control.drift_warning = lambda: self._drift.drift.warning or self._registration_warning
-        self.control.drift_fault = lambda: self._drift.drift.warning if self._drift.drift.holds else ""
-        self.control.device_warnings = self.bench.manipulator.warnings
+        around = self.control.surroundings
+        around.recorder_fault = lambda: self._recorder.fault or ""
+        around.camera_fault = lambda: self._camera_fault
+        around.drift_warning = lambda: self._drift.drift.warning or self._registration_warning
+        around.drift_fault = lambda: self._drift.drift.warning if self._drift.drift.holds else ""
+        around.device_warnings = self.bench.manipulator.warnings
+        around.announce = lambda left_s: self.herald.announce(
+            "handover_announced", {"in_s": round(left_s, 2), "distance_um": self.control.scene.distance_um}
+        )
         self._tokens = Tokens(settings.server)
         self._hand_link = HandLinkServer(
             dataclasses.replace(
@@ -261,7 +265,10 @@ class Rig:
                     manipulator.stop()
                     self.herald.announce("rig_stopped", {"mode": self.control.machine.mode.value})
                     await come_to_rest(
-                        self.bench, self.settings.guards.tip_age_s, self.control.beat, self._clock
+                        self.bench,
+                        self.settings.guards.tip_age_s,
+                        self.control.surroundings.beat,
+                        self._clock,
                     )
         finally:
             async with asyncio.timeout(_CLOSE_S):
@@ -398,10 +405,10 @@ class Rig:
         if before is Mode.AUTO and after is Mode.MANUAL:
             facts = self.control.facts
             by = "arrival" if facts.arrived and not facts.clutch_closing else "takeover"
-            self.herald.announce("handover", {"by": by, "distance_um": self.control.distance_um})
+            self.herald.announce("handover", {"by": by, "distance_um": self.control.scene.distance_um})
         if after is Mode.FAULT:
             self.herald.announce("fault", {"reason": change.reason})
-        if before is Mode.AUTO and self.control.area not in self.areas.list():
+        if before is Mode.AUTO and self.control.scene.area not in self.areas.list():
             # The goal was removed or changed under way.
             self._on_areas()
 
@@ -412,9 +419,9 @@ class Rig:
 
     def _on_track(self, frame: Frame, track: Track) -> None:
         self.frames.put(frame)
-        self.control.on_track(track)
+        self.control.scene.see(track)
         self.telemetry.camera.add(self._clock())
-        self.marks.on_track(track, self.control.machine.mode, self.control.distance_um)
+        self.marks.on_track(track, self.control.machine.mode, self.control.scene.distance_um)
         vessel = track.vessel
         self.herald.record(
             "track",
@@ -431,11 +438,11 @@ class Rig:
     def _on_areas(self) -> None:
         """Keep an area active that is marked; a task that is under way keeps its goal."""
         areas = {area.id: area for area in self.areas.list()}
-        active = self.control.area
+        active = self.control.scene.area
         if self.control.machine.mode is not Mode.AUTO:
             kept = areas.get(active.id) if active else None
             self.control.choose_area(kept or next(iter(areas.values()), None))
-        active = self.control.area
+        active = self.control.scene.area
         fields = [wire_twin.area_fields(area, active.id if active else None) for area in areas.values()]
         self.herald.announce("areas", {"critical_areas": fields})
 
@@ -450,7 +457,7 @@ class Rig:
     # -- helpers ---------------------------------------------------------------------------------------
 
     def _counters(self) -> dict[str, int]:
-        counters = Counter(self.control.counters)
+        counters = Counter(self.control.drive.counters)
         counters.update(self._hand_link.counters)
         return dict(counters)
 

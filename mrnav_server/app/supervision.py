@@ -66,7 +66,8 @@ async def supervised(
     target = StopTarget(*path.target, settings.sensapex.wire_id)
     supervisor = Supervisor(settings.supervisor, target, root / REPORT_NAME, clock, control.fail, on_report)
     async with supervisor:
-        control.beat, control.supervisor_fault = supervisor.beat, lambda: supervisor.refusal
+        around = control.surroundings
+        around.beat, around.supervisor_fault = supervisor.beat, lambda: supervisor.refusal
         yield
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from mrnav_server.core.frames import Calibration
 from mrnav_server.core.hand import HandControl
 from mrnav_server.core.lease import Lease
-from mrnav_server.core.modes import ARMED, Mode
+from mrnav_server.core.modes import ARMED
 from mrnav_server.core.records import Percentiles, RigState, Track
 from mrnav_server.loops.autopilot import Autopilot
 from mrnav_server.loops.control import ControlLoop
@@ -92,7 +92,7 @@ class Telemetry:
             trial: Id of the running trial.
         """
         control, machine, facts = self._control, self._control.machine, self._control.facts
-        track, tip, armed = control.track, control.tip, self._control.machine.mode in ARMED
+        track, tip, armed = control.scene.track, control.scene.tip, self._control.machine.mode in ARMED
         self._seq += 1
         return RigState(
             seq=self._seq,
@@ -105,15 +105,15 @@ class Telemetry:
             mode=machine.mode,
             severity=machine.severity(facts),
             reason="; ".join(filter(None, (machine.reason, facts.warning))),
-            authority=0.0 if machine.mode is Mode.AUTO else 1.0,
+            authority=control.authority(now_s),
             lease=self._lease.state(),
             clutch=self._hand.clutch,
             auto_ready=armed and not facts.auto_refusal and not facts.fault,
             auto_refusal=facts.fault or facts.auto_refusal or ("" if armed else "arm first"),
-            time_to_handover_s=self._autopilot.remaining_s,
-            critical_area=control.area.id if control.area else None,
-            distance_um=control.distance_um,
-            lead_um=control.lead_um,
+            time_to_handover_s=self._autopilot.handover_s,
+            critical_area=control.scene.area.id if control.scene.area else None,
+            distance_um=control.scene.distance_um,
+            lead_um=control.scene.lead_um,
             collisions=self._marks.collisions,
             path=self._autopilot.path_px,
             latency_ms=self.latencies(),

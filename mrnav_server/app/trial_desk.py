@@ -81,7 +81,7 @@ class TrialDesk:
         Raises:
             RefusedError: While another runs, or if it cannot be recorded.
         """
-        area, robot = self._control.area, self._control.robot
+        area, robot = self._control.scene.area, self._control.scene.robot
         header = TrialHeader(
             participant=participant,
             condition=condition,
@@ -120,7 +120,7 @@ class TrialDesk:
                 raise RefusedError("no_such_trial", f"trial {trial_id!r} is not running")
             summary = self._marks.summary() | {
                 "id": trial_id,
-                "final_distance_um": self._control.distance_um,
+                "final_distance_um": self._control.scene.distance_um,
                 "latency_ms": self._telemetry.summary(),
                 "simulated": self._bench.simulated,
             }

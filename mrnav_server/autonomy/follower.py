@@ -60,7 +60,9 @@ class Follower:
         """
         self._watch.take(track, tip)
 
-    def start(self, path: PlannedPath, track: Track, tip: TipReading, now_s: float) -> None:
+    def start(
+        self, path: PlannedPath, track: Track, tip: TipReading, now_s: float, handover_um: float = 0.0
+    ) -> None:
         """Begin a path; the robot may rest or move.
 
         Args:
@@ -68,6 +70,7 @@ class Follower:
             track: Where the robot was seen.
             tip: Where the tip is.
             now_s: The time.
+            handover_um: So far from the target the operator takes over: no faster than the hand-over's speed.
 
         Raises:
             ValueError: If the track does not say where the robot is.
@@ -78,7 +81,7 @@ class Follower:
             self._target, self._misses = path.target, 0
         self._watch.take(track, tip)
         self._path = path
-        self._rail = Rail(path, self._vessel, self.coupling.lead_um, self._config.speed)
+        self._rail = Rail(path, self._vessel, self.coupling.lead_um, self._config.speed, handover_um)
         self._status = FollowerStatus.TAKE_UP
         self._last_s = self._moved_s = now_s
         self._began_um = self._moved_um = self._watch.seen_um
@@ -278,7 +281,7 @@ class Follower:
             self._plane.tip_um(self._hold_um),
             self._plane.tip_velocity_um_per_s(self._velocity),
             left_um,
-            self._rail.time_to_go_s(self._arc_um),
+            self._rail.time_to_handover_s(self._arc_um),
             self._cross_um,
             self._back_off,
             self._reason,

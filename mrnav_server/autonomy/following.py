@@ -98,7 +98,7 @@ class FollowerWish:
         tip_um: Wanted tip, stage x and y, in µm.
         velocity_um_per_s: Feed-forward velocity of the tip, stage x and y.
         remaining_um: Path left before the reference.
-        remaining_s: Estimate of the time to the path's end.
+        handover_s: Estimate of the time until the operator takes over: at the path's end, or before it.
         cross_track_um: Distance of the robot to the path, signed.
         back_off: With REPLAN, whether a way off the target is wanted before the next approach.
         reason: Why a final status was taken, in plain words; else "".
@@ -108,7 +108,7 @@ class FollowerWish:
     tip_um: Vector
     velocity_um_per_s: Vector
     remaining_um: float
-    remaining_s: float
+    handover_s: float
     cross_track_um: float
     back_off: bool = False
     reason: str = ""

@@ -21,11 +21,20 @@ class Rail:
         vessel: The vessel model.
         lead_um: The magnet's friction lead.
         speed: Bounds on the speed.
+        handover_um: So far from its end the operator takes over.
     """
 
-    def __init__(self, path: PlannedPath, vessel: VesselMap, lead_um: float, speed: SpeedConfig) -> None:
+    def __init__(
+        self,
+        path: PlannedPath,
+        vessel: VesselMap,
+        lead_um: float,
+        speed: SpeedConfig,
+        handover_um: float = 0.0,
+    ) -> None:
         points_um = path.points_px * vessel.um_per_px
-        limits = speed_limits_um_per_s(points_um, path.tangents, _clearance_um(path, vessel), lead_um, speed)
+        clearance_um = _clearance_um(path, vessel)
+        limits = speed_limits_um_per_s(points_um, path.tangents, clearance_um, lead_um, speed, handover_um)
         self.spacing_um = max(path.spacing_px * vessel.um_per_px, 1e-6)
         self.last = len(points_um) - 1
         self.length_um = self.last * self.spacing_um
@@ -36,6 +45,7 @@ class Rail:
         self._ty: list[float] = path.tangents[:, 1].tolist()
         self._limit: list[float] = limits.tolist()
         self._to_go_s: list[float] = np.append(np.cumsum(seconds[::-1])[::-1], 0.0).tolist()
+        self._area_s = self.time_to_go_s(self.length_um - handover_um)
 
     def point_um(self, arc_um: float) -> tuple[float, float]:
         """Return the path at an arc length, linear between points."""
@@ -62,6 +72,10 @@ class Rail:
     def time_to_go_s(self, arc_um: float) -> float:
         """Return the time from an arc length to the end at the speed limit."""
         return self._to_go_s[self.index(arc_um)]
+
+    def time_to_handover_s(self, arc_um: float) -> float:
+        """Return the time from an arc length to where the operator takes over; 0 from there on."""
+        return max(self.time_to_go_s(arc_um) - self._area_s, 0.0)
 
     def index(self, arc_um: float) -> int:
         """Return the point at or before an arc length."""

@@ -77,6 +77,7 @@ class Autopilot:
         self._um_per_px = um_per_px
         self._path: PlannedPath | None = None
         self._target: VesselPoint | None = None
+        self._handover_um = 0.0
         self._wish: FollowerWish | None = None
         self._robot: VesselPoint | None = None
         self._moved_s = 0.0
@@ -94,9 +95,9 @@ class Autopilot:
         return tuple((float(x), float(y)) for x, y in thinned)
 
     @property
-    def remaining_s(self) -> float | None:
-        """Estimate of the time to the path's end while driving."""
-        return self._wish.remaining_s if self._wish is not None else None
+    def handover_s(self) -> float | None:
+        """Estimate of the time until the operator takes over; None while not driving."""
+        return self._wish.handover_s if self._wish is not None else None
 
     @property
     def at_target(self) -> bool:
@@ -107,9 +108,15 @@ class Autopilot:
         """Take another follower; not while driving."""
         self._follower = follower
 
-    def prepare(self, path: PlannedPath, target: VesselPoint) -> None:
-        """Take the path of the next task; nothing moves before :meth:`begin`."""
-        self._path, self._target = path, target
+    def prepare(self, path: PlannedPath, target: VesselPoint, handover_um: float = 0.0) -> None:
+        """Take the path of the next task; nothing moves before :meth:`begin`.
+
+        Args:
+            path: From where the robot is.
+            target: Where it shall stop.
+            handover_um: So far from there the operator takes over.
+        """
+        self._path, self._target, self._handover_um = path, target, handover_um
 
     def begin(self, track: Track, tip: TipReading, now_s: float) -> None:
         """Start driving along the prepared path.
@@ -119,7 +126,7 @@ class Autopilot:
         """
         if self._path is None:
             raise RuntimeError("AUTO began without a path")
-        self._follower.start(self._path, track, tip, now_s)
+        self._follower.start(self._path, track, tip, now_s, self._handover_um)
         self._robot, self._moved_s = track.vessel, now_s
         self.order, self._wish, self._fresh_path, self._no_path = None, None, False, ""
 
@@ -155,7 +162,7 @@ class Autopilot:
             return None
         self._note_motion(seen.vessel, now_s)
         if self._fresh_path and self._path is not None:
-            self._follower.start(self._path, seen, tip, now_s)
+            self._follower.start(self._path, seen, tip, now_s, self._handover_um)
             self._fresh_path = False
         if self.order is not None:
             self._follower.watch(seen, tip)

@@ -1,25 +1,23 @@
-"""The control loop: facts → settle the mode → wish (hand or policy) → limit → shape → the manipulator.
+"""The control loop: facts → settle the mode → wish (hand, policy or both) → limit → shape → the manipulator.
 
-The only caller of ``move_to`` and ``stop``. ``step`` is plain and is told the time; it runs at every tick,
-and at once when a hand sample or an ask arrives.
+``step`` is plain and is told the time; it runs at every tick, and at once for a hand sample or an ask.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from mrnav_server.core.errors import DeviceError, RefusedError
-from mrnav_server.core.frames import Calibration, StagePoint, VesselPoint
+from mrnav_server.core.frames import Calibration, StagePoint
 from mrnav_server.core.hand import HandControl
 from mrnav_server.core.lease import Lease
-from mrnav_server.core.limits import Limits, allowed_target
+from mrnav_server.core.limits import Limits
 from mrnav_server.core.modes import ARMED, LATCHED, Ask, Facts, Mode, ModeMachine, Transition
-from mrnav_server.core.records import CriticalArea, TipReading, Track, TrackState
-from mrnav_server.core.shaping import Reference, Shaper
+from mrnav_server.core.records import CriticalArea
+from mrnav_server.core.shaping import Reference
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.devices.base import Manipulator
 from mrnav_server.loops.autopilot import Autopilot
+from mrnav_server.loops.drive import Drive, Log
 from mrnav_server.loops.guards import (
     GuardConfig,
     arm_refusal,
@@ -27,32 +25,24 @@ from mrnav_server.loops.guards import (
     tip_fault,
     track_refusal,
 )
+from mrnav_server.loops.handover import Blend, HandoverConfig
+from mrnav_server.loops.scene import Scene
 from mrnav_server.loops.stopping import Stopping
+from mrnav_server.loops.surroundings import Surroundings
 from mrnav_server.loops.timing import RollingLatency
-from mrnav_server.loops.tip_watch import TipWatch
-
-Log = Callable[[str, dict[str, Any]], None]
-
-_SETTLE_S = 0.5
-"""A tip that has not come to rest this long after its setpoint counts as noise, or is driven by hand."""
-_EDGE_UM = 10.0
-"""The setpoint may come to rest this far outside; what is sent stays inside."""
 
 
 @dataclass(frozen=True, slots=True)
 class ControlConfig:
-    """The control loop and the hand-over.
+    """The control loop.
 
     Attributes:
         tick_s: Period of the loop, at most 10 ms.
-        require_robot: Arrival needs the tracked robot inside the area too; False leaves the paper's formula,
-            which looks at the end-effector alone.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
 
     tick_s: float = 0.01
-    require_robot: bool = True
 
     def __post_init__(self) -> None:
         if not 0.002 <= self.tick_s <= 0.01:
@@ -63,7 +53,7 @@ class ControlLoop:
     """Decides every motion of the rig.
 
     Args:
-        config: Loop and hand-over.
+        handover: How the operator gets control back.
         guards: Deadlines and bounds.
         limits: Bounds on motion.
         manipulator: Open before the first step.
@@ -78,7 +68,7 @@ class ControlLoop:
 
     def __init__(
         self,
-        config: ControlConfig,
+        handover: HandoverConfig,
         guards: GuardConfig,
         limits: Limits,
         manipulator: Manipulator,
@@ -91,25 +81,13 @@ class ControlLoop:
         on_change: Callable[[Transition], None],
     ) -> None:
         self.machine = ModeMachine()
-        self.shaper = Shaper(limits)
+        self.scene = Scene(calibration, vessel)
+        self.drive = Drive(limits, guards, manipulator, calibration, vessel, log)
+        self.surroundings = Surroundings()
         self.hand_to_command = RollingLatency()
         self.generation = 0
         """Rises with every ask that is granted, closed clutch, change of mode and change of the goal."""
-        self.counters = {"commands": 0, "clamped": 0, "non_finite": 0, "held_back": 0}
-        self.recorder_fault: Callable[[], str] = lambda: ""
-        self.supervisor_fault: Callable[[], str] = lambda: ""
-        """Why nobody would stop the manipulator if this process died, or ""."""
-        self.camera_fault: Callable[[], str] = lambda: ""
-        """Why the camera's pictures must not be relied on, or ""."""
-        self.drift_warning: Callable[[], str] = lambda: ""
-        """That the vessel or the camera has moved, or ""."""
-        self.drift_fault: Callable[[], str] = lambda: ""
-        """The same, when it is too far for AUTO."""
-        self.device_warnings: Callable[[], list[str]] = lambda: []
-        """What the manipulator's driver has to say to the operator."""
-        self.beat: Callable[[bool], None] = lambda moves: None
-        """Called at every step, with whether the tip may be in motion."""
-        self._config = config
+        self._handover = handover
         self._guards = guards
         self._limits = limits
         self._manipulator = manipulator
@@ -118,22 +96,16 @@ class ControlLoop:
         self._lease = lease
         self._hand = hand
         self._autopilot = autopilot
-        self._log = log
         self._tell_change = on_change
-        self._watch = TipWatch(guards)
         self._stopping = Stopping(guards.tip_age_s)
         self._asks: list[Ask] = []
-        self._track: Track | None = None
-        self._seen: Track | None = None
-        self._tip: TipReading | None = None
-        self._area: CriticalArea | None = None
         self._tip_fault = ""
-        self._move_fault = ""
         self._told_fault = ""
         self._supervised_by_hand = False
+        self._announced = False
+        self._blend: Blend | None = None
         self._stepped_s: float | None = None
         self._sample_s: float | None = None
-        self._moved_s = -math.inf
         self._facts = Facts(leased=False, hand_fresh=False, clutch_closing=False, at_rest=True, arrived=False)
 
     @property
@@ -142,53 +114,15 @@ class ControlLoop:
         return self._facts
 
     @property
-    def tip(self) -> TipReading | None:
-        """The newest tip reading."""
-        return self._tip
-
-    @property
-    def track(self) -> Track | None:
-        """The newest track, with or without a position."""
-        return self._track
-
-    @property
-    def robot(self) -> VesselPoint | None:
-        """Where the robot was last seen; None while it is lost."""
-        if self._track is None or self._seen is None or self._track.state is TrackState.SEARCHING:
-            return None
-        return self._seen.vessel
-
-    @property
-    def area(self) -> CriticalArea | None:
-        """The active critical area."""
-        return self._area
-
-    @property
     def setpoint(self) -> StagePoint | None:
         """What the tip is asked to be; None while nothing may move."""
-        return self.shaper.position if self.machine.mode in ARMED else None
+        return self.drive.shaper.position if self.machine.mode in ARMED else None
 
-    @property
-    def lead_um(self) -> float | None:
-        """How far the magnet's hold point is from the robot."""
-        robot, tip = self.robot, self._tip
-        if robot is None or tip is None:
-            return None
-        return self._calibration.held_point(tip.position).distance_px(robot) * self._vessel.um_per_px
-
-    @property
-    def distance_um(self) -> float | None:
-        """How far the robot is from the centre of the active area."""
-        robot = self.robot
-        if robot is None or self._area is None:
-            return None
-        return robot.distance_px(self._area.center) * self._vessel.um_per_px
-
-    def on_track(self, track: Track) -> None:
-        """Take a track; the next step uses it."""
-        self._track = track
-        if track.vessel is not None:
-            self._seen = track
+    def authority(self, now_s: float) -> float:
+        """Return the hand's share of control: 0 while the policy drives alone, 1 for the hand alone."""
+        if self.machine.mode is Mode.AUTO:
+            return 0.0
+        return self._blend.authority(now_s) if self._blend is not None else 1.0
 
     def recalibrate(self, calibration: Calibration) -> None:
         """Go by another calibration; where the robot was seen under the old one is forgotten.
@@ -199,7 +133,8 @@ class ControlLoop:
         if self.machine.mode is not Mode.DISARMED:
             raise RefusedError("armed", "the rig is armed: disarm it first")
         self._calibration = calibration
-        self._track = self._seen = None
+        self.scene.recalibrate(calibration)
+        self.drive.recalibrate(calibration)
         self.generation += 1
 
     def choose_area(self, area: CriticalArea | None) -> None:
@@ -210,8 +145,8 @@ class ControlLoop:
         """
         if self.machine.mode is Mode.AUTO:
             raise RefusedError("busy", "the policy is driving: hold first")
-        self.generation += area != self._area
-        self._area = area
+        self.generation += area != self.scene.area
+        self.scene.area = area
 
     def on_hand(self, received_s: float, now_s: float) -> None:
         """Step at once for a fresh hand sample, and time it from the arrival of its line."""
@@ -265,18 +200,22 @@ class ControlLoop:
         asks, self._asks = self._asks, []
         for change in self.machine.settle(asks, facts):
             self._on_change(change, now_s)
-        mode = self.machine.mode
-        if mode not in ARMED or self._tip is None:
+        mode, tip = self.machine.mode, self.scene.tip
+        if mode not in ARMED or tip is None:
             # FAULT has latched what failed; the next arming tries again.
-            self._move_fault = self._told_fault = ""
+            self.drive.fault = self._told_fault = ""
             self._repeat_stop(now_s)
             return
         if mode is not Mode.AUTO:
-            self._autopilot.watch(self._seen, self._tip)
+            self._autopilot.watch(self.scene.seen, tip)
         if mode is Mode.MANUAL and facts.clutch_closing and not self._hand.engaged:
             # Where the magnet comes to rest, so that the hand does not call it back.
-            self._hand.engage(self.shaper.rest_point, now_s)
-        self._move(dt_s, self._wish(mode, now_s), self._tip, now_s)
+            self._hand.engage(self.drive.shaper.rest_point, now_s)
+        wish = self._wish(mode, now_s)
+        reference = self.drive.limited(wish) if wish is not None else None
+        sent = self.drive.follow(dt_s, reference, tip, now_s, mode)
+        if sent is not None and self._sample_s is not None:
+            self.hand_to_command.add(sent.sent_s - self._sample_s)
 
     def _gather(self, now_s: float, *, closing: bool = False) -> Facts:
         self._read_tip()
@@ -285,7 +224,8 @@ class ControlLoop:
         if not lease.hand:
             self._hand.lose()
         fresh = self._hand.fresh(now_s)
-        recorder_fault, supervisor_fault = self.recorder_fault(), self.supervisor_fault()
+        scene, around = self.scene, self.surroundings
+        recorder_fault, supervisor_fault = around.recorder_fault(), around.supervisor_fault()
         return Facts(
             leased=self._lease.held,
             hand_fresh=fresh,
@@ -296,35 +236,31 @@ class ControlLoop:
             arm_refusal=(
                 "the manipulator is being stopped: wait until it rests" if self._stopping.pending else ""
             )
-            or arm_refusal(self._tip, self._limits, self._calibration, self._vessel)
+            or arm_refusal(scene.tip, self._limits, self._calibration, self._vessel)
             or recorder_fault
             or supervisor_fault,
             auto_refusal=self._auto_refusal(fresh, now_s) or recorder_fault or supervisor_fault,
             warning=recorder_fault
             or supervisor_fault
-            or "; ".join(self.device_warnings())
-            or self.camera_fault()
-            or self.drift_warning()
-            or track_refusal(self._track, self._seen, self._guards, now_s),
+            or "; ".join(around.device_warnings())
+            or around.camera_fault()
+            or around.drift_warning()
+            or track_refusal(scene.track, scene.seen, self._guards, now_s),
         )
 
     def _at_rest(self, now_s: float) -> bool:
         """Tell whether setpoint and tip stand still."""
-        if self.machine.mode not in ARMED:
-            return True
-        if not self.shaper.at_rest:
-            self._moved_s = now_s
-            return False
-        return self._tip is None or not self._tip.moving or now_s - self._moved_s > _SETTLE_S
+        return self.machine.mode not in ARMED or self.drive.at_rest(self.scene.tip, now_s)
 
     def _fault(self, now_s: float) -> str:
         """Return why the tip must not move at all, or ""."""
-        told = self._told_fault or self._tip_fault or self._move_fault
-        if told or self._tip is None:
+        tip = self.scene.tip
+        told = self._told_fault or self._tip_fault or self.drive.fault
+        if told or tip is None:
             return told
-        fault = tip_fault(self._tip, self._guards, now_s)
+        fault = tip_fault(tip, self._guards, now_s)
         if not fault and self.machine.mode in ARMED:
-            fault = self._watch.fault(self._tip)
+            fault = self.drive.disobedience(tip)
         return fault
 
     def _auto_refusal(self, hand_fresh: bool, now_s: float) -> str:
@@ -335,34 +271,32 @@ class ControlLoop:
         return (
             ("" if self._lease.held else "nobody controls the rig: take the lease first")
             or ("" if supervised else "nobody supervises: neither hand nor console is heard")
-            or self.camera_fault()
-            or self.drift_fault()
-            or track_refusal(self._track, self._seen, self._guards, now_s)
-            or coupling_refusal(self.lead_um, self._guards)
-            or ("" if self._area else "no critical area is chosen: mark one first")
+            or self.surroundings.camera_fault()
+            or self.surroundings.drift_fault()
+            or track_refusal(self.scene.track, self.scene.seen, self._guards, now_s)
+            or coupling_refusal(self.scene.lead_um, self._guards)
+            or ("" if self.scene.area else "no critical area is chosen: mark one first")
             or self._autopilot.refusal
             or (self._gave_up(now_s) if self.machine.mode is Mode.AUTO else "")
         )
 
     def _gave_up(self, now_s: float) -> str:
         """Return why the policy cannot go on, or ""."""
-        away_um = self.distance_um
+        away_um = self.scene.distance_um
         if self._autopilot.at_target and away_um is not None and not self._arrived():
             return f"the robot rests {away_um:.0f} µm from the centre, outside the area: go on by hand"
         return self._autopilot.stuck(now_s)
 
     def _arrived(self) -> bool:
         """Tell whether |P_s − P_critical| ≤ ε holds, on the tip and (by setting) on the robot."""
-        if self._area is None or self._tip is None or self.machine.mode is not Mode.AUTO:
+        area, tip_um, robot_um = self.scene.area, self.scene.tip_distance_um, self.scene.distance_um
+        if area is None or tip_um is None or self.machine.mode is not Mode.AUTO:
             return False
-        held = self._calibration.held_point(self._tip.position)
-        tip_um = held.distance_px(self._area.center) * self._vessel.um_per_px
-        robot_um = self.distance_um
-        robot_there = robot_um is not None and robot_um <= self._area.epsilon_um
-        if self._autopilot.at_target:
+        robot_there = robot_um is not None and robot_um <= area.epsilon_um
+        if self._autopilot.at_target or self._handover.style == "stop":
             # At rest the friction lead may keep the tip outside a small area for ever.
-            return robot_there
-        return tip_um <= self._area.epsilon_um and (robot_there or not self._config.require_robot)
+            return robot_there and self._autopilot.at_target
+        return tip_um <= area.epsilon_um and (robot_there or not self._handover.require_robot)
 
     def _on_change(self, change: Transition, now_s: float) -> None:
         self.generation += 1
@@ -371,119 +305,67 @@ class ControlLoop:
         if change.after in (Mode.STOP, Mode.FAULT):
             self._manipulator.stop()
             self._stopping.begin(now_s)
-        if change.before not in ARMED and change.after in ARMED and self._tip is not None:
-            self.shaper.reset(self._tip.position)
-            self._watch.begin(self._tip)
+        seen, tip = self.scene.seen, self.scene.tip
+        if change.before not in ARMED and change.after in ARMED and tip is not None:
+            self.drive.begin(tip)
             self._stopping.end()
             self._beat()
+        self._blend = self._blend_of(change, now_s)
         if change.after is not Mode.MANUAL:
             self._hand.release()
         # Whoever began AUTO must stay: a console does not stand in for a hand that was lost on the way.
         self._supervised_by_hand = change.after is Mode.AUTO and self._facts.hand_fresh
-        if change.after is Mode.AUTO and self._seen is not None and self._tip is not None:
-            self._autopilot.begin(self._seen, self._tip, now_s)
+        self._announced = False
+        if change.after is Mode.AUTO and seen is not None and tip is not None:
+            self._autopilot.begin(seen, tip, now_s)
         self._tell_change(change)
 
+    def _blend_of(self, change: Transition, now_s: float) -> Blend | None:
+        """Return how authority passes; None if at once, as whenever nobody was told that it would."""
+        if (change.before, change.after) != (Mode.AUTO, Mode.MANUAL) or not self._announced:
+            return None
+        shaper = self.drive.shaper
+        return Blend(shaper.position, shaper.velocity_um_per_s, self._handover, now_s)
+
     def _wish(self, mode: Mode, now_s: float) -> Reference | None:
-        """Return where the mode wants the tip, limited; None to come to rest."""
-        wish = None
-        if mode is Mode.MANUAL:
-            wish = self._hand.reference(now_s)
-        elif mode is Mode.AUTO and self._tip is not None:
-            wish = self._autopilot.reference(self._seen, self._tip, self.shaper.position.z_um, now_s)
-        if wish is None:
-            return None
-        if not wish.finite:
-            self.counters["non_finite"] += 1
-            return None
-        rest = self.shaper.rest_point
-        kept = self._allowed(rest)
-        if _distance_um(kept, rest) > _EDGE_UM:
-            # Whoever waits until the setpoint is at the edge can no longer stop there: aim back inside.
-            target = _mirrored(rest, kept)
-        else:
-            target = self._allowed(wish.position)
-        if target == wish.position:
+        """Return where the mode wants the tip; None to come to rest."""
+        scene = self.scene
+        if mode is Mode.AUTO and scene.tip is not None:
+            z_um = self.drive.shaper.position.z_um
+            wish = self._autopilot.reference(scene.seen, scene.tip, z_um, now_s)
+            self._announce()
             return wish
-        self.counters["clamped"] += 1
-        return Reference(target, (0.0, 0.0, 0.0), wish.speed_um_per_s)
+        if mode is not Mode.MANUAL:
+            return None
+        hand = self._hand.reference(now_s)
+        if self._blend is None:
+            return hand
+        wish = self._blend.reference(hand, now_s, self._limits.speed_um_per_s)
+        if wish is None:
+            self._blend = None
+        return wish
 
-    def _move(self, dt_s: float, reference: Reference | None, tip: TipReading, now_s: float) -> None:
-        before = self.shaper.position
-        top_um_per_s = max(self._limits.speed_um_per_s, self._limits.autonomy_speed_um_per_s)
-        ahead_um = top_um_per_s * self._limits.ahead_s
-        if self._gap_um() > ahead_um and reference is not None:
-            self.counters["held_back"] += 1
-            reference = None
-        wished = self.shaper.step(dt_s, reference)
-        if wished == before:
+    def _announce(self) -> None:
+        """Tell the operator, once a task, that control will soon be his."""
+        left_s = self._autopilot.handover_s
+        if self._announced or left_s is None or not self._handover.announced:
             return
-        target = self._allowed(_towards(wished, tip.position, ahead_um))
-        gap_um = _distance_um(target, tip.position)
-        # Fast enough to close the gap in half the time that the setpoint may be ahead.
-        speed_um_per_s = min(
-            max(self.shaper.speed_um_per_s + 2.0 * gap_um / self._limits.ahead_s, 50.0), 1.2 * top_um_per_s
-        )
-        try:
-            sent = self._manipulator.move_to(target, speed_um_per_s, now_s)
-        except DeviceError as error:
-            self._move_fault = f"manipulator: {error}"
-            return
-        self._watch.sent(sent)
-        self.counters["commands"] += 1
-        if self._sample_s is not None:
-            self.hand_to_command.add(sent.sent_s - self._sample_s)
-        self._log(
-            "command",
-            {
-                "sent_s": sent.sent_s,
-                "target_um": [round(v, 3) for v in (sent.target.x_um, sent.target.y_um, sent.target.z_um)],
-                "tip_um": [round(v, 3) for v in (tip.position.x_um, tip.position.y_um, tip.position.z_um)],
-                "speed_um_per_s": round(sent.speed_um_per_s, 1),
-                "ahead_ms": round(1000.0 * gap_um / sent.speed_um_per_s, 2),
-                "mode": self.machine.mode.value,
-            },
-        )
-
-    def _allowed(self, point: StagePoint) -> StagePoint:
-        return allowed_target(point, self._limits, self._calibration, self._vessel)
+        if left_s <= self._handover.announce_s:
+            self._announced = True
+            self.surroundings.announce(left_s)
 
     def _repeat_stop(self, now_s: float) -> None:
         """Stop again while the tip moves, or nobody knows whether it does."""
-        tip = None if self._tip_fault else self._tip
+        tip = None if self._tip_fault else self.scene.tip
         if self._stopping.due(tip, now_s, latched=self.machine.mode in LATCHED):
             self._manipulator.stop()
 
     def _beat(self) -> None:
-        self.beat(self.machine.mode in ARMED or self._stopping.pending)
+        self.surroundings.beat(self.machine.mode in ARMED or self._stopping.pending)
 
     def _read_tip(self) -> None:
         try:
-            self._tip = self._manipulator.tip()
+            self.scene.tip = self._manipulator.tip()
             self._tip_fault = ""
         except DeviceError as error:
             self._tip_fault = f"manipulator: {error}"
-
-    def _gap_um(self) -> float:
-        return _distance_um(self.shaper.position, self._tip.position) if self._tip is not None else 0.0
-
-
-def _distance_um(a: StagePoint, b: StagePoint) -> float:
-    return math.hypot(a.x_um - b.x_um, a.y_um - b.y_um, a.z_um - b.z_um)
-
-
-def _mirrored(point: StagePoint, at: StagePoint) -> StagePoint:
-    return StagePoint(2 * at.x_um - point.x_um, 2 * at.y_um - point.y_um, 2 * at.z_um - point.z_um)
-
-
-def _towards(target: StagePoint, tip: StagePoint, most_um: float) -> StagePoint:
-    """Return the target, or the place on the way there that is ``most_um`` from the tip."""
-    gap_um = _distance_um(target, tip)
-    if gap_um <= most_um:
-        return target
-    share = most_um / gap_um
-    return StagePoint(
-        tip.x_um + share * (target.x_um - tip.x_um),
-        tip.y_um + share * (target.y_um - tip.y_um),
-        tip.z_um + share * (target.z_um - tip.z_um),
-    )

@@ -151,7 +151,7 @@ class LockStepRig:
         manipulator = SimulatedManipulator(self.world)
         asyncio.run(manipulator.open())
         self._control = ControlLoop(
-            settings.control,
+            settings.handover,
             settings.guards,
             settings.limits,
             manipulator,
@@ -173,7 +173,7 @@ class LockStepRig:
         start = self.world.robot
         while self.world.time_s < LOOK_S:
             self._tick()
-        robot = self._control.robot
+        robot = self._control.scene.robot
         if robot is None:
             raise RefusedError("not_tracked", "the simulated robot is not seen at its start")
         self._control.choose_area(CriticalAreas(self._vessel).add(target, EPSILON_UM, ""))
@@ -212,7 +212,7 @@ class LockStepRig:
             self._in_flight.append(self._tracker.update(Frame(self._frames, now_s, picture)))
             self._frames += 1
         while self._in_flight and self._in_flight[0].taken_s + self._latency_s <= now_s:
-            self._control.on_track(self._in_flight.popleft())
+            self._control.scene.see(self._in_flight.popleft())
         self._lease.hear(_CONSOLE, now_s)
         self._control.step(now_s)
         self._plan_orders(now_s)

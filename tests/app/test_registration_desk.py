@@ -69,8 +69,8 @@ async def test_the_picture_registers_the_vessel_and_every_part_of_the_rig_goes_b
             told = await events.get()
             while told["event"] != "registration":
                 told = await events.get()
-        await until(rig, lambda: rig.control.robot is not None)
-        robot = rig.control.robot
+        await until(rig, lambda: rig.control.scene.robot is not None)
+        robot = rig.control.scene.robot
     assert answer["accepted"], answer["reason"]
     assert answer["overlap"] > 0.9
     assert answer["residual_um"] < 10.0
@@ -151,10 +151,10 @@ async def test_it_is_kept_and_a_stale_one_is_refused_with_a_warning(rig: Rig, tm
     assert again.registration.state()["registered"]
     other = await asyncio.to_thread(Rig, settings_at(tmp_path, (0.0, 0.0)))
     assert not other.registration.state()["registered"]
-    assert "another calibration, vessel model or rig" in other.control.drift_warning()
+    assert "another calibration, vessel model or rig" in other.control.surroundings.drift_warning()
     (tmp_path / "registration.json").write_bytes(orjson.dumps({"pose": "bad"}))
     broken = await asyncio.to_thread(Rig, settings_at(tmp_path))
-    assert "is no registration" in broken.control.drift_warning()
+    assert "is no registration" in broken.control.surroundings.drift_warning()
 
 
 async def test_a_vessel_that_moves_during_the_session_is_told_and_keeps_auto_from_beginning(
@@ -168,8 +168,8 @@ async def test_a_vessel_that_moves_during_the_session_is_told_and_keeps_auto_fro
     )
     async with running(rig):
         await until(rig, lambda: rig._drift.drift.moved_um is not None)
-        assert rig.control.drift_fault() == ""
+        assert rig.control.surroundings.drift_fault() == ""
         # The same camera over a vessel that somebody pushed.
         rig.bench.camera._render = moved.bench.camera._render  # type: ignore[attr-defined]
         await until(rig, lambda: "has moved by" in rig.control.facts.warning)
-        assert "has moved by" in rig.control.drift_fault()
+        assert "has moved by" in rig.control.surroundings.drift_fault()

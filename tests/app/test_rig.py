@@ -18,12 +18,12 @@ async def test_the_first_area_becomes_the_active_one_and_everybody_is_told(rig: 
         first = rig.areas.add(rig.vessel.suggested_areas[0], 500, "")
         second = rig.areas.add(rig.vessel.suggested_areas[1], 500, "")
         told = [await events.get(), await events.get()]
-    assert rig.control.area == first
+    assert rig.control.scene.area == first
     assert [area["active"] for area in told[1]["critical_areas"]] == [True, False]
     rig.areas.remove(first.id)
-    assert rig.control.area == second
+    assert rig.control.scene.area == second
     rig.areas.remove(second.id)
-    assert rig.control.area is None
+    assert rig.control.scene.area is None
 
 
 async def test_asks_need_the_lease_and_stop_does_not(rig: Rig) -> None:

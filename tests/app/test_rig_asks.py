@@ -71,7 +71,7 @@ class Desk:
         assert world is not None
         robot = world.robot
         image = self.rig.calibration.image_point(robot)
-        self.rig.control.on_track(
+        self.rig.control.scene.see(
             Track(self.now_s, self._seq, TrackState.TRACKING, image, robot, 1.0, 3.0, 99)
         )
         self._seq += 1
@@ -146,7 +146,7 @@ async def test_hold_asked_in_hold_lasts_too(desk: Desk) -> None:
 
 async def test_a_goal_that_is_removed_while_its_path_is_planned_is_not_driven_to(desk: Desk) -> None:
     await desk.open()
-    goal = desk.rig.control.area
+    goal = desk.rig.control.scene.area
     assert goal is not None
     assert await refusal_of_auto(desk, lambda: desk.rig.areas.remove(goal.id)) == "overtaken"
 
@@ -191,7 +191,7 @@ async def test_of_two_asks_for_auto_one_is_granted_with_its_own_goal(desk: Desk)
         await desk.planning.acquire()
         desk.answer.set()
     assert sorted(codes) == ["ok", "overtaken"]
-    area = desk.rig.control.area
+    area = desk.rig.control.scene.area
     assert area is not None
     assert area.id == "area-2"
     assert desk.rig.navigator.autopilot._target == area.center
@@ -200,12 +200,12 @@ async def test_of_two_asks_for_auto_one_is_granted_with_its_own_goal(desk: Desk)
 async def test_a_goal_that_was_removed_under_way_is_dropped_at_the_end(desk: Desk) -> None:
     await desk.open()
     await refusal_of_auto(desk, desk.tick)
-    goal = desk.rig.control.area
+    goal = desk.rig.control.scene.area
     assert goal is not None
     desk.rig.areas.remove(goal.id)
-    assert desk.rig.control.area == goal
+    assert desk.rig.control.scene.area == goal
     await desk.rig.console.ask("hold", "page", None)
-    assert desk.rig.control.area == desk.rig.areas.list()[0]
+    assert desk.rig.control.scene.area == desk.rig.areas.list()[0]
 
 
 async def test_a_console_that_ends_autonomy_is_not_recorded_as_an_arrival(desk: Desk) -> None:
@@ -222,7 +222,7 @@ async def test_a_replan_that_is_refused_holds_and_the_rig_goes_on(
 ) -> None:
     await desk.open()
     await refusal_of_auto(desk, desk.tick)
-    autopilot, area = desk.rig.navigator.autopilot, desk.rig.control.area
+    autopilot, area = desk.rig.navigator.autopilot, desk.rig.control.scene.area
     assert area is not None
 
     async def refuse(order: PathOrder) -> PlannedPath | None:

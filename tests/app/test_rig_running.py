@@ -79,18 +79,18 @@ async def test_two_hands_and_only_the_first_moves_the_rig(rig: Rig) -> None:
         first.send(clutch=False)
         await until(rig, lambda: rig.control.facts.hand_fresh)
         await rig.console.ask("arm", first.welcome["session"], None)
-        commands = rig.control.counters["commands"]
+        commands = rig.control.drive.counters["commands"]
         for step in range(20):
             second.send(clutch=True, x_m=0.002 * step)
             first.send(clutch=False)
             await asyncio.sleep(1 / 60)
-        assert rig.control.counters["commands"] == commands
+        assert rig.control.drive.counters["commands"] == commands
         assert not rig.hand.clutch
         first.send(clutch=True)
         for step in range(20):
             first.send(clutch=True, x_m=0.002 * step)
             await asyncio.sleep(1 / 60)
-        assert rig.control.counters["commands"] > commands
+        assert rig.control.drive.counters["commands"] > commands
         first.close()
         second.close()
 
@@ -107,7 +107,8 @@ async def test_numbers_that_are_not_finite_move_nothing_and_end_in_hold(rig: Rig
         hand = await Hand.connect(rig.hand_port)
         hand.send(clutch=False)
         await until(
-            rig, lambda: rig.hand.fresh(asyncio.get_running_loop().time()) and rig.control.tip is not None
+            rig,
+            lambda: rig.hand.fresh(asyncio.get_running_loop().time()) and rig.control.scene.tip is not None,
         )
         await rig.console.ask("arm", hand.welcome["session"], None)
         hand.send(clutch=True)

@@ -115,8 +115,8 @@ def test_remaining_time_and_length_count_down_to_nothing(stage: Stage) -> None:
     following = [w for w in stage.wishes if w.status is FollowerStatus.FOLLOWING]
     remaining = [w.remaining_um for w in following]
     assert remaining == sorted(remaining, reverse=True)
-    assert following[10].remaining_s == pytest.approx(0.01 * len(following[10:]), rel=0.1)
-    assert stage.wishes[-1].remaining_s == 0.0
+    assert following[10].handover_s == pytest.approx(0.01 * len(following[10:]), rel=0.1)
+    assert stage.wishes[-1].handover_s == 0.0
 
 
 def test_the_magnet_runs_ahead_by_the_lead(stage: Stage) -> None:

@@ -125,6 +125,10 @@ def test_the_end_of_a_film_is_named_and_nothing_is_believed_after_it(filmed: Rig
         return answer.status_code == 503 and "circle.avi has ended" in answer.text
 
     wait_for(ended, 30.0, "the film's end")
-    assert any("has ended" in event.get("reason", "") for event in filmed.events)
+    wait_for(
+        lambda: any("has ended" in event.get("reason", "") for event in filmed.events),
+        10.0,
+        "the page to be told",
+    )
     last = filmed.state["track"]
     filmed.until(lambda s: s["track"]["age_ms"] > last["age_ms"] + 500.0, "a track that ages")

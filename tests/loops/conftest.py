@@ -20,8 +20,9 @@ from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Track, TrackState
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.loops.autopilot import Autopilot, AutopilotConfig
-from mrnav_server.loops.control import ControlConfig, ControlLoop
+from mrnav_server.loops.control import ControlLoop
 from mrnav_server.loops.guards import GuardConfig
+from mrnav_server.loops.handover import HandoverConfig
 from mrnav_server.sim.devices import SimulatedManipulator
 from mrnav_server.sim.world import SimConfig, SimulatedWorld
 from mrnav_server.vision.model_store import find_model
@@ -35,7 +36,12 @@ class LockStep:
     """A rig whose clock is a number: ``advance`` is the only thing that moves it."""
 
     def __init__(
-        self, vessel: VesselMap, planner: PathPlanner, seed: int = 1, limits: Limits | None = None
+        self,
+        vessel: VesselMap,
+        planner: PathPlanner,
+        seed: int = 1,
+        limits: Limits | None = None,
+        handover: HandoverConfig | None = None,
     ) -> None:
         self.now_s = 100.0
         self.vessel = vessel
@@ -60,7 +66,7 @@ class LockStep:
         self.changes: list[str] = []
         self.lines: list[tuple[float, str, dict[str, Any]]] = []
         self.control = ControlLoop(
-            ControlConfig(),
+            handover or HandoverConfig(),
             GuardConfig(),
             self.limits,
             self.manipulator,
@@ -95,10 +101,10 @@ class LockStep:
         self.control.choose_area(self.areas.add(self.vessel.suggested_areas[index], epsilon_um, ""))
 
     def start_auto(self) -> None:
-        area, robot = self.control.area, self.control.robot
+        area, robot = self.control.scene.area, self.control.scene.robot
         assert area is not None
         assert robot is not None
-        self.autopilot.prepare(self.planner.plan(robot, area.center), area.center)
+        self.autopilot.prepare(self.planner.plan(robot, area.center), area.center, area.epsilon_um)
         self.ask(Ask.AUTO)
 
     def advance(self, span_s: float) -> None:
@@ -143,7 +149,7 @@ class LockStep:
         good = min(self._frames, 99)
         state = TrackState.TRACKING if good >= 10 else TrackState.ACQUIRING
         image = self.calibration.image_point(robot)
-        self.control.on_track(Track(self.world.time_s, self._frames, state, image, robot, 1.0, 3.0, good))
+        self.control.scene.see(Track(self.world.time_s, self._frames, state, image, robot, 1.0, 3.0, good))
         self._frames += 1
 
 
@@ -172,5 +178,5 @@ def driving(rig: LockStep) -> LockStep:
     rig.start_auto()
     rig.advance(0.8)
     assert rig.is_in(Mode.AUTO)
-    assert rig.control.shaper.speed_um_per_s > 1000.0
+    assert rig.control.drive.shaper.speed_um_per_s > 1000.0
     return rig

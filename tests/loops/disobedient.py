@@ -214,7 +214,7 @@ class DeviceRig(LockStep):
         super().__init__(vessel, planner, limits=limits)
         start_um = [float(at) for at in self.world.tip.array()]
         self.device = SlowDevice(motion(start_um), self.now_s, reading_s, up_s, down_s)
-        self.control._manipulator = self.device
+        self.control._manipulator = self.control.drive._manipulator = self.device
         self.hand._config = HandConfig(vertical_gain=0.04)
         self.hand_y_m = 0.0
         self.advance(0.2)

@@ -54,7 +54,7 @@ class FilmedRig(LockStep):
             try:
                 frame = self.camera.read(0.5)
                 fault = self.watch.look(frame, self.clock_s)
-                self.control.on_track(self.tracker.update(frame))
+                self.control.scene.see(self.tracker.update(frame))
             except DeviceError as error:
                 fault = str(error)
                 self.reopen()

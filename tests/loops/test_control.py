@@ -21,10 +21,10 @@ def test_autonomy_arrives_and_hands_over_without_touching(rig: LockStep) -> None
     rig.advance_until(Mode.MANUAL, 10.0)
     assert rig.changes == ["MANUAL", "AUTO", "MANUAL"]
     rig.advance(1.0)
-    assert rig.control.distance_um is not None
-    assert rig.control.distance_um < 600.0
+    assert rig.control.scene.distance_um is not None
+    assert rig.control.scene.distance_um < 600.0
     assert rig.world.collisions == 0
-    assert rig.control.shaper.at_rest
+    assert rig.control.drive.shaper.at_rest
 
 
 def test_every_setpoint_keeps_the_bounds_through_a_whole_task(rig: LockStep) -> None:
@@ -34,11 +34,11 @@ def test_every_setpoint_keeps_the_bounds_through_a_whole_task(rig: LockStep) -> 
     before = (0.0, 0.0, 0.0)
     while rig.is_in(Mode.AUTO):
         rig.tick()
-        after = rig.control.shaper.acceleration_um_per_s2
+        after = rig.control.drive.shaper.acceleration_um_per_s2
         # Each tick holds up to two steps: the beat and a hand sample.
         assert math.dist(after, before) <= rig.limits.jerk_um_per_s3 * TICK_S * 1.001
         assert math.hypot(*after) <= rig.limits.acceleration_um_per_s2 * 1.001
-        assert rig.control.shaper.speed_um_per_s <= rig.limits.autonomy_speed_um_per_s * 1.001
+        assert rig.control.drive.shaper.speed_um_per_s <= rig.limits.autonomy_speed_um_per_s * 1.001
         before = after
     assert rig.commands()
     for command in rig.commands():
@@ -47,13 +47,13 @@ def test_every_setpoint_keeps_the_bounds_through_a_whole_task(rig: LockStep) -> 
 
 
 def test_closing_the_clutch_takes_over_in_the_same_step(driving: LockStep) -> None:
-    before, velocity = driving.control.shaper.position, driving.control.shaper.velocity_um_per_s
+    before, velocity = driving.control.drive.shaper.position, driving.control.drive.shaper.velocity_um_per_s
     driving.clutch = True
     driving.send_hand()
     assert driving.is_in(Mode.MANUAL)
     # The setpoint on entering MANUAL is the setpoint before: position and velocity are continuous.
-    assert driving.control.shaper.position == before
-    assert driving.control.shaper.velocity_um_per_s == velocity
+    assert driving.control.drive.shaper.position == before
+    assert driving.control.drive.shaper.velocity_um_per_s == velocity
     mark = len(driving.lines)
     driving.advance(0.2)
     modes = {data["mode"] for _, topic, data in driving.lines[mark:] if topic == "command"}
@@ -96,12 +96,12 @@ def test_a_silent_hand_holds_within_its_deadline(rig: LockStep, autonomous: bool
     reason = rig.control.machine.reason
     assert ("nobody supervises" if autonomous else "silent") in reason
     rig.advance(0.3)
-    rested, commands = rig.control.shaper.position, len(rig.commands())
+    rested, commands = rig.control.drive.shaper.position, len(rig.commands())
     rig.hand_alive = True
     rig.advance(0.5)
     # The hand is back with its clutch still closed: nothing resumes by itself.
     assert rig.is_in(Mode.HOLD)
-    assert rig.control.shaper.position == rested
+    assert rig.control.drive.shaper.position == rested
     assert len(rig.commands()) == commands
 
 
@@ -185,8 +185,8 @@ def test_a_number_that_is_not_finite_moves_nothing_and_is_counted(
     broken = Reference(StagePoint(bad, 0.0, 0.0), (0.0, 0.0, 0.0), 4500.0)
     monkeypatch.setattr(driving.autopilot, "reference", lambda *_: broken)
     driving.advance(0.4)
-    assert driving.control.counters["non_finite"] >= 30
-    assert driving.control.shaper.at_rest
+    assert driving.control.drive.counters["non_finite"] >= 30
+    assert driving.control.drive.shaper.at_rest
     for command in driving.commands():
         assert all(map(math.isfinite, command["target_um"]))
 
@@ -220,7 +220,7 @@ def test_a_policy_that_was_not_verified_leaves_manual_working(rig: LockStep) -> 
 
 
 def test_a_recorder_that_fails_holds_autonomy(driving: LockStep) -> None:
-    driving.control.recorder_fault = lambda: "the trial's log cannot be written: disk full"
+    driving.control.surroundings.recorder_fault = lambda: "the trial's log cannot be written: disk full"
     driving.tick()
     assert driving.is_in(Mode.HOLD)
     assert "disk full" in driving.control.machine.reason

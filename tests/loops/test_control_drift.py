@@ -12,7 +12,7 @@ MOVED = "the vessel or the camera has moved by 140 µm"
 
 
 def test_a_vessel_that_moved_too_far_ends_auto_in_hold_and_keeps_it_from_beginning(driving: LockStep) -> None:
-    driving.control.drift_warning = driving.control.drift_fault = lambda: MOVED
+    driving.control.surroundings.drift_warning = driving.control.surroundings.drift_fault = lambda: MOVED
     driving.tick()
     assert driving.is_in(Mode.HOLD)
     assert driving.control.machine.reason == MOVED
@@ -21,7 +21,7 @@ def test_a_vessel_that_moved_too_far_ends_auto_in_hold_and_keeps_it_from_beginni
 
 
 def test_a_small_motion_warns_and_auto_goes_on(driving: LockStep) -> None:
-    driving.control.drift_warning = lambda: MOVED
+    driving.control.surroundings.drift_warning = lambda: MOVED
     driving.advance(0.2)
     assert driving.is_in(Mode.AUTO)
     assert driving.control.facts.warning == MOVED
@@ -35,8 +35,8 @@ def test_another_calibration_is_taken_while_disarmed_alone(driving: LockStep) ->
         driving.control.recalibrate(other)
     driving.ask(Ask.DISARM)
     driving.advance_until(Mode.DISARMED, 2.0)
-    before_um = driving.control.lead_um
+    before_um = driving.control.scene.lead_um
     driving.control.recalibrate(other)
-    assert driving.control.robot is None
+    assert driving.control.scene.robot is None
     driving.advance(0.2)
-    assert driving.control.lead_um != pytest.approx(before_um, abs=100.0)
+    assert driving.control.scene.lead_um != pytest.approx(before_um, abs=100.0)

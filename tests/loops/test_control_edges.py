@@ -103,13 +103,14 @@ def test_a_link_that_was_silent_for_long_gives_way_to_who_sat_down_meanwhile(wat
 
 
 def test_a_taken_over_magnet_is_not_called_back(driving: LockStep) -> None:
-    start, velocity = driving.control.shaper.position.array(), driving.control.shaper.velocity_um_per_s
+    shaper = driving.control.drive.shaper
+    start, velocity = shaper.position.array(), shaper.velocity_um_per_s
     forward = np.array(velocity) / math.hypot(*velocity)
     close_clutch(driving)
     reached_um = []
     for _ in range(60):
         driving.tick()
-        reached_um.append(float((driving.control.shaper.position.array() - start) @ forward))
+        reached_um.append(float((driving.control.drive.shaper.position.array() - start) @ forward))
     assert max(reached_um) > 150.0
     assert max(reached_um) - reached_um[-1] < 20.0
 
@@ -159,7 +160,7 @@ def test_no_sweep_of_the_hand_leaves_the_bounds_or_faults(watched: WatchedRig, s
             watched.hand_z_m += along_m
             watched.tick()
     assert watched.is_in(Mode.MANUAL)
-    assert watched.control.counters["clamped"] > 0
+    assert watched.control.drive.counters["clamped"] > 0
 
 
 # -- numbers and devices
@@ -169,11 +170,11 @@ def test_no_sweep_of_the_hand_leaves_the_bounds_or_faults(watched: WatchedRig, s
 def test_a_velocity_that_is_not_finite_moves_nothing(
     driving: LockStep, bad: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broken = Reference(driving.control.shaper.position, (bad, 0.0, 0.0), 4500.0)
+    broken = Reference(driving.control.drive.shaper.position, (bad, 0.0, 0.0), 4500.0)
     monkeypatch.setattr(driving.autopilot, "reference", lambda *_: broken)
     driving.advance(0.4)
-    assert driving.control.counters["non_finite"] >= 30
-    assert driving.control.shaper.at_rest
+    assert driving.control.drive.counters["non_finite"] >= 30
+    assert driving.control.drive.shaper.at_rest
 
 
 def test_a_move_that_fails_is_a_fault_although_the_position_is_known(
@@ -207,7 +208,7 @@ def test_a_stuck_manipulator_is_a_fault_and_its_setpoint_stays_near(
     assert "does not move although it was told to" in driving.control.machine.reason
     most_um = driving.limits.autonomy_speed_um_per_s * driving.limits.ahead_s
     assert max(math.dist(target.array(), stuck.array()) for target in sent) < 1.1 * most_um
-    assert driving.control.counters["held_back"] > 0
+    assert driving.control.drive.counters["held_back"] > 0
 
 
 # -- moments
@@ -217,17 +218,17 @@ def test_hold_at_speed_sends_until_rest_and_nothing_after(driving: LockStep) -> 
     driving.ask(Ask.HOLD)
     commands = len(driving.commands())
     ticks = 0
-    while not driving.control.shaper.at_rest:
+    while not driving.control.drive.shaper.at_rest:
         driving.tick()
         ticks += 1
     assert ticks > 5
     assert len(driving.commands()) - commands >= ticks
     driving.advance(0.05)
     rested = len(driving.commands())
-    assert math.dist(driving.control.shaper.position.array(), driving.world.tip.array()) < 60.0
+    assert math.dist(driving.control.drive.shaper.position.array(), driving.world.tip.array()) < 60.0
     driving.advance(1.0)
     assert len(driving.commands()) == rested
-    assert math.dist(driving.control.shaper.position.array(), driving.world.tip.array()) < 1.0
+    assert math.dist(driving.control.drive.shaper.position.array(), driving.world.tip.array()) < 1.0
 
 
 def test_hold_does_not_take_back_a_disarm(driving: LockStep) -> None:
@@ -244,10 +245,10 @@ def test_auto_is_not_asked_twice(driving: LockStep) -> None:
 
 
 def test_a_task_keeps_its_goal(driving: LockStep) -> None:
-    goal = driving.control.area
+    goal = driving.control.scene.area
     with pytest.raises(RefusedError, match="hold first"):
         driving.control.choose_area(None)
-    assert driving.control.area == goal
+    assert driving.control.scene.area == goal
 
 
 def test_an_area_smaller_than_the_policy_can_aim_ends_in_hold(
@@ -264,7 +265,7 @@ def test_an_area_smaller_than_the_policy_can_aim_ends_in_hold(
 
 
 def test_a_path_that_cannot_be_planned_ends_in_hold(driving: LockStep) -> None:
-    area, robot = driving.control.area, driving.control.robot
+    area, robot = driving.control.scene.area, driving.control.scene.robot
     assert area is not None
     assert robot is not None
     order = PathOrder(robot, area.center, back_off=False)

@@ -106,7 +106,7 @@ def test_one_stalled_axis_is_a_fault_although_the_others_move(
     part = speed_um_per_s / math.sqrt(3.0) * HAND_M_PER_S
     while not rig.is_in(Mode.FAULT):
         rig.sweep((part, part, part), TICK_S)
-        if math.isnan(away_s) and abs(rig.control.shaper.position.array()[axis] - stuck_um) > 25.0:
+        if math.isnan(away_s) and abs(rig.control.drive.shaper.position.array()[axis] - stuck_um) > 25.0:
             away_s = rig.now_s
         assert not rig.now_s > away_s + 0.3
     assert f"does not move although it was told to: its {'XYZ'[axis]} axis" in rig.control.machine.reason
@@ -124,7 +124,7 @@ def test_a_slow_motion_that_stalls_is_found_once_it_is_away(
     rig.device.stall({0})
     for _ in range(100):
         rig.sweep(slowly, TICK_S)
-        if rig.control.shaper.position.x_um - stuck_um > 25.0:
+        if rig.control.drive.shaper.position.x_um - stuck_um > 25.0:
             break
         assert rig.is_in(Mode.MANUAL)
     rig.sweep(slowly, 0.3)
@@ -271,12 +271,12 @@ def test_a_supervisor_that_does_not_answer_refuses_and_holds(
     bifurcation: VesselMap, planner: PathPlanner
 ) -> None:
     rig = DeviceRig(bifurcation, planner, Trapezoid)
-    rig.control.supervisor_fault = lambda: "the supervisor does not answer"
+    rig.control.surroundings.supervisor_fault = lambda: "the supervisor does not answer"
     with pytest.raises(RefusedError, match="supervisor"):
         rig.ask(Ask.ARM)
-    rig.control.supervisor_fault = lambda: ""
+    rig.control.surroundings.supervisor_fault = lambda: ""
     armed(rig)
-    rig.control.supervisor_fault = lambda: "the supervisor does not answer"
+    rig.control.surroundings.supervisor_fault = lambda: "the supervisor does not answer"
     rig.tick()
     assert rig.is_in(Mode.MANUAL)
     assert rig.control.facts.warning == "the supervisor does not answer"
@@ -288,12 +288,14 @@ def test_a_manipulator_that_the_supervisor_stopped_is_a_fault_until_reset(
     bifurcation: VesselMap, planner: PathPlanner
 ) -> None:
     rig = moving(DeviceRig(bifurcation, planner, Trapezoid), 3000.0)
-    rig.control.beat = lambda moves: rig.control.fail("the supervisor stopped it") if moves else None
+    rig.control.surroundings.beat = lambda moves: (
+        rig.control.fail("the supervisor stopped it") if moves else None
+    )
     commands = len(rig.commands())
     rig.control.step(rig.now_s + TICK_S)
     assert rig.is_in(Mode.FAULT)
     assert len(rig.commands()) == commands, "not even the step that came too late moves anything"
-    rig.control.beat = lambda moves: None
+    rig.control.surroundings.beat = lambda moves: None
     rig.advance(0.3)
     assert rig.control.machine.reason == "the supervisor stopped it"
     rig.ask(Ask.RESET)
@@ -303,7 +305,7 @@ def test_a_manipulator_that_the_supervisor_stopped_is_a_fault_until_reset(
 def test_the_beat_says_whether_the_tip_may_move(bifurcation: VesselMap, planner: PathPlanner) -> None:
     rig = DeviceRig(bifurcation, planner, Trapezoid)
     beats: list[bool] = []
-    rig.control.beat = beats.append
+    rig.control.surroundings.beat = beats.append
     rig.tick()
     assert set(beats) == {False}
     rig.ask(Ask.ARM)
@@ -322,6 +324,6 @@ def test_the_beat_says_whether_the_tip_may_move(bifurcation: VesselMap, planner:
 
 def test_what_the_driver_warns_of_is_shown(bifurcation: VesselMap, planner: PathPlanner) -> None:
     rig = DeviceRig(bifurcation, planner, Trapezoid)
-    rig.control.device_warnings = lambda: ["no status comes", "one of ten answers is lost"]
+    rig.control.surroundings.device_warnings = lambda: ["no status comes", "one of ten answers is lost"]
     rig.tick()
     assert rig.control.facts.warning == "no status comes; one of ten answers is lost"

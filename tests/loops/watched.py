@@ -167,7 +167,7 @@ class WatchedRig(LockStep):
 
         def checked(now_s: float) -> None:
             before = self.control.machine.mode
-            shaper = self.control.shaper
+            shaper = self.control.drive.shaper
             at, velocity, acceleration = (
                 shaper.position,
                 shaper.velocity_um_per_s,
@@ -230,10 +230,10 @@ class WatchedRig(LockStep):
         if mode is Mode.AUTO:
             assert not facts.auto_refusal, "I2"
             assert lease.holder is not None, "I2: nobody controls the rig"
-            seen = self.control._seen
+            seen = self.control.scene.seen
             assert seen is not None
             assert self.now_s - seen.taken_s <= 0.1, "I2: an old sighting"
-            assert self.control.area is not None, "I2: no goal"
+            assert self.control.scene.area is not None, "I2: no goal"
             console = self.lease.console_heard_within(0.5, self.now_s)
             assert console or self.hand.fresh(self.now_s), "I2: nobody supervises"
 
@@ -244,7 +244,7 @@ class WatchedRig(LockStep):
         acceleration: tuple[float, float, float],
         dt_s: float,
     ) -> None:
-        shaper, limits, mode = self.control.shaper, self.limits, self.control.machine.mode
+        shaper, limits, mode = self.control.drive.shaper, self.limits, self.control.machine.mode
         if mode not in ARMED:
             return
         speed, top = shaper.speed_um_per_s, limits.autonomy_speed_um_per_s
@@ -264,7 +264,7 @@ class WatchedRig(LockStep):
     def _check_hold(
         self, velocity: tuple[float, float, float], acceleration: tuple[float, float, float], dt_s: float
     ) -> None:
-        shaper = self.control.shaper
+        shaper = self.control.drive.shaper
         if not self.is_in(Mode.HOLD):
             self._held_s = math.nan
             return
@@ -297,7 +297,7 @@ class WatchedRig(LockStep):
             assert excess_um <= max(self._excess_um, 1.0) + ROUNDING_UM, f"I10: {excess_um} µm outside"
             self._excess_um = excess_um
             assert self.calibration.height_um(target) >= self.calibration.critical_height_um, "I10: height"
-            stray_um = math.dist(target.array(), self.control.shaper.position.array())
+            stray_um = math.dist(target.array(), self.control.drive.shaper.position.array())
             near = ahead_um < 0.999 * top * self.limits.ahead_s
             assert stray_um <= STRAY_UM or not near, f"the command is {stray_um} µm from the setpoint"
             step_um = math.dist(target.array(), self._last.array())
@@ -331,7 +331,7 @@ class WatchedRig(LockStep):
         return StagePoint(*(float(tip[axis] if axis in self.stalled else beside[axis]) for axis in range(3)))
 
     def _tip_um(self) -> StagePoint:
-        tip = self.control.tip
+        tip = self.control.scene.tip
         assert tip is not None
         return tip.position
 

@@ -1,0 +1,126 @@
+"""From the policy to the operator's hand without a jump, a jolt or a standstill.
+
+The policy's last velocity fades out while the hand's motion fades in, both by the same authority
+α(u) = u²(3 - 2u). Whatever is left of the policy's motion is known at the switch: no policy is asked again.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from mrnav_server.core.frames import StagePoint
+from mrnav_server.core.shaping import Reference, ShaperGains
+
+Vector3 = tuple[float, float, float]
+
+_LAG_S = 1.0 / ShaperGains().velocity_per_s
+"""The shaper takes so long to answer a change of velocity: it is told of the fade that much earlier."""
+
+
+@dataclass(frozen=True, slots=True)
+class HandoverConfig:
+    """How the operator gets control back.
+
+    Attributes:
+        style: "blended" announces the hand-over, arrives slowly and lets authority pass over ``blend_s``;
+            "stop" comes to rest in the area first; "paper" switches at once, at whatever speed.
+        announce_s: So long before arrival the operator is told (0-5).
+        blend_s: Authority passes over this time (0-2); unless the hand-over was announced, it passes at once.
+        carry_um: The policy's motion goes on no further than this after the switch (0-1000).
+        require_robot: Arrival needs the tracked robot inside the area too; False leaves the paper's formula,
+            which looks at the end-effector alone.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
+
+    style: Literal["blended", "stop", "paper"] = "blended"
+    announce_s: float = 1.5
+    blend_s: float = 0.8
+    carry_um: float = 500.0
+    require_robot: bool = True
+
+    def __post_init__(self) -> None:
+        for name, most in (("announce_s", 5.0), ("blend_s", 2.0), ("carry_um", 1000.0)):
+            if not 0.0 <= getattr(self, name) <= most:
+                raise ValueError(f"{name} must lie between 0 and {most:g}")
+
+    @property
+    def announced(self) -> bool:
+        """Whether the operator is told before arrival."""
+        return self.style == "blended"
+
+
+class Blend:
+    """One hand-over under way.
+
+    Args:
+        position: The setpoint at the switch.
+        velocity_um_per_s: Its velocity, stage x, y, z.
+        config: Durations and bounds.
+        now_s: The switch.
+    """
+
+    def __init__(
+        self, position: StagePoint, velocity_um_per_s: Vector3, config: HandoverConfig, now_s: float
+    ) -> None:
+        speed = math.hypot(*velocity_um_per_s)
+        # The fade covers half of what the velocity would: ∫(1 - α) du = 1/2.
+        self._span_s = min(config.blend_s, 2.0 * config.carry_um / max(speed, 1e-9))
+        self._began_s = now_s
+        self._position = position
+        self._velocity_um_per_s = velocity_um_per_s
+        self._hand: StagePoint | None = None
+        self._moved_um = (0.0, 0.0, 0.0)
+
+    def authority(self, now_s: float) -> float:
+        """Return the hand's share, 0 to 1."""
+        u = self._share(now_s)
+        return u * u * (3.0 - 2.0 * u)
+
+    @property
+    def rest_point(self) -> StagePoint:
+        """Where the policy's motion ends if the hand does not move."""
+        return self._carried(1.0)
+
+    def reference(self, hand: Reference | None, now_s: float, speed_um_per_s: float) -> Reference | None:
+        """Return where the tip should be; None once it rests and no hand moves it.
+
+        Args:
+            hand: Where the hand alone would want the tip; None while the clutch is open.
+            now_s: Now.
+            speed_um_per_s: Largest speed.
+        """
+        u, alpha = self._share(now_s), self.authority(now_s)
+        if hand is None:
+            self._hand = None
+            if u >= 1.0:
+                return None
+        elif self._hand is not None:
+            step = _minus(hand.position, self._hand)
+            x, y, z = self._moved_um
+            self._moved_um = (x + alpha * step[0], y + alpha * step[1], z + alpha * step[2])
+        self._hand = hand.position if hand is not None else None
+        at, (x, y, z) = self._carried(u), self._moved_um
+        vx, vy, vz = self._velocity_um_per_s
+        hx, hy, hz = hand.velocity_um_per_s if hand is not None else (0.0, 0.0, 0.0)
+        left = 1.0 - self.authority(now_s + _LAG_S)
+        return Reference(
+            StagePoint(at.x_um + x, at.y_um + y, at.z_um + z),
+            (left * vx + alpha * hx, left * vy + alpha * hy, left * vz + alpha * hz),
+            speed_um_per_s,
+        )
+
+    def _share(self, now_s: float) -> float:
+        if self._span_s <= 0.0:
+            return 1.0
+        return min(max((now_s - self._began_s) / self._span_s, 0.0), 1.0)
+
+    def _carried(self, u: float) -> StagePoint:
+        """Return where the fading motion has come to: ∫(1 - α) = u - u³ + u⁴/2."""
+        gone_s = self._span_s * (u - u**3 + u**4 / 2.0)
+        at, (vx, vy, vz) = self._position, self._velocity_um_per_s
+        return StagePoint(at.x_um + vx * gone_s, at.y_um + vy * gone_s, at.z_um + vz * gone_s)
+
+
+def _minus(a: StagePoint, b: StagePoint) -> Vector3:
+    return (a.x_um - b.x_um, a.y_um - b.y_um, a.z_um - b.z_um)
