@@ -324,8 +324,9 @@ class ControlLoop:
         """Return how authority passes; None if at once, as whenever nobody was told that it would."""
         if (change.before, change.after) != (Mode.AUTO, Mode.MANUAL) or not self._announced:
             return None
-        shaper = self.drive.shaper
-        return Blend(shaper.position, shaper.velocity_um_per_s, self._handover, now_s)
+        shaper, area = self.drive.shaper, self.scene.area
+        epsilon_um = area.epsilon_um if area is not None else 0.0
+        return Blend(shaper.position, shaper.velocity_um_per_s, self._handover, epsilon_um, now_s)
 
     def _wish(self, mode: Mode, now_s: float) -> Reference | None:
         """Return where the mode wants the tip; None to come to rest."""

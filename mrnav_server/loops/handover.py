@@ -26,7 +26,8 @@ class HandoverConfig:
             "stop" comes to rest in the area first; "paper" switches at once, at whatever speed.
         announce_s: So long before arrival the operator is told (0-5).
         blend_s: Authority passes over this time (0-2); unless the hand-over was announced, it passes at once.
-        carry_um: The policy's motion goes on no further than this after the switch (0-1000).
+        carry_um: The policy's motion goes on no further than this after the switch, and no further than ε
+            (0-1000).
         require_robot: Arrival needs the tracked robot inside the area too; False leaves the paper's formula,
             which looks at the end-effector alone.
     """
@@ -57,15 +58,22 @@ class Blend:
         position: The setpoint at the switch.
         velocity_um_per_s: Its velocity, stage x, y, z.
         config: Durations and bounds.
+        epsilon_um: Radius of the area.
         now_s: The switch.
     """
 
     def __init__(
-        self, position: StagePoint, velocity_um_per_s: Vector3, config: HandoverConfig, now_s: float
+        self,
+        position: StagePoint,
+        velocity_um_per_s: Vector3,
+        config: HandoverConfig,
+        epsilon_um: float,
+        now_s: float,
     ) -> None:
-        speed = math.hypot(*velocity_um_per_s)
+        carry_um = min(config.carry_um, epsilon_um)
+        self._blend_s = config.blend_s
         # The fade covers half of what the velocity would: ∫(1 - α) du = 1/2.
-        self._span_s = min(config.blend_s, 2.0 * config.carry_um / max(speed, 1e-9))
+        self._fade_s = min(config.blend_s, 2.0 * carry_um / max(math.hypot(*velocity_um_per_s), 1e-9))
         self._began_s = now_s
         self._position = position
         self._velocity_um_per_s = velocity_um_per_s
@@ -74,8 +82,7 @@ class Blend:
 
     def authority(self, now_s: float) -> float:
         """Return the hand's share, 0 to 1."""
-        u = self._share(now_s)
-        return u * u * (3.0 - 2.0 * u)
+        return _smooth(self._share(now_s, self._blend_s))
 
     @property
     def rest_point(self) -> StagePoint:
@@ -90,10 +97,10 @@ class Blend:
             now_s: Now.
             speed_um_per_s: Largest speed.
         """
-        u, alpha = self._share(now_s), self.authority(now_s)
+        u, alpha = self._share(now_s, self._fade_s), self.authority(now_s)
         if hand is None:
             self._hand = None
-            if u >= 1.0:
+            if u >= 1.0 and alpha >= 1.0:
                 return None
         elif self._hand is not None:
             step = _minus(hand.position, self._hand)
@@ -103,23 +110,27 @@ class Blend:
         at, (x, y, z) = self._carried(u), self._moved_um
         vx, vy, vz = self._velocity_um_per_s
         hx, hy, hz = hand.velocity_um_per_s if hand is not None else (0.0, 0.0, 0.0)
-        left = 1.0 - self.authority(now_s + _LAG_S)
+        left = 1.0 - _smooth(self._share(now_s + _LAG_S, self._fade_s))
         return Reference(
             StagePoint(at.x_um + x, at.y_um + y, at.z_um + z),
             (left * vx + alpha * hx, left * vy + alpha * hy, left * vz + alpha * hz),
             speed_um_per_s,
         )
 
-    def _share(self, now_s: float) -> float:
-        if self._span_s <= 0.0:
+    def _share(self, now_s: float, span_s: float) -> float:
+        if span_s <= 0.0:
             return 1.0
-        return min(max((now_s - self._began_s) / self._span_s, 0.0), 1.0)
+        return min(max((now_s - self._began_s) / span_s, 0.0), 1.0)
 
     def _carried(self, u: float) -> StagePoint:
         """Return where the fading motion has come to: ∫(1 - α) = u - u³ + u⁴/2."""
-        gone_s = self._span_s * (u - u**3 + u**4 / 2.0)
+        gone_s = self._fade_s * (u - u**3 + u**4 / 2.0)
         at, (vx, vy, vz) = self._position, self._velocity_um_per_s
         return StagePoint(at.x_um + vx * gone_s, at.y_um + vy * gone_s, at.z_um + vz * gone_s)
+
+
+def _smooth(u: float) -> float:
+    return u * u * (3.0 - 2.0 * u)
 
 
 def _minus(a: StagePoint, b: StagePoint) -> Vector3:

@@ -163,6 +163,7 @@ class LockStepRig:
             lambda topic, data: None,
             lambda change: None,
         )
+        self._announced = settings.handover.announced
         self._order: PathOrder | None = None
         self._planned_at_s = 0.0
         self._path: PlannedPath | None = None
@@ -178,7 +179,7 @@ class LockStepRig:
             raise RefusedError("not_tracked", "the simulated robot is not seen at its start")
         self._control.choose_area(CriticalAreas(self._vessel).add(target, EPSILON_UM, ""))
         first = self._path = self._planner.plan(robot, target, self._policy)
-        self._autopilot.prepare(first, target)
+        self._autopilot.prepare(first, target, EPSILON_UM if self._announced else 0.0)
         for ask in (Ask.ARM, Ask.AUTO):
             self._control.submit(ask, self.world.time_s)
         began_s = self.world.time_s

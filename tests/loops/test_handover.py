@@ -47,7 +47,7 @@ def told(rig: LockStep) -> list[tuple[float, float]]:
 
 
 def test_authority_passes_smoothly_and_the_policys_motion_goes_half_as_far() -> None:
-    blend = Blend(AT, (1000.0, -500.0, 0.0), HandoverConfig(blend_s=0.8), 10.0)
+    blend = Blend(AT, (1000.0, -500.0, 0.0), HandoverConfig(blend_s=0.8), 500.0, 10.0)
     assert [blend.authority(10.0 + s) for s in (0.0, 0.2, 0.4, 0.6, 0.8, 5.0)] == pytest.approx(
         [0.0, 0.15625, 0.5, 0.84375, 1.0, 1.0]
     )
@@ -61,15 +61,17 @@ def test_authority_passes_smoothly_and_the_policys_motion_goes_half_as_far() -> 
     assert blend.reference(None, 10.81, SPEED) is None
 
 
-@given(st.floats(0.1, 4500.0), st.floats(0.0, 2 * math.pi))
-def test_the_policys_motion_ends_within_its_bound(speed: float, angle: float) -> None:
+@given(st.floats(0.1, 4500.0), st.floats(0.0, 2 * math.pi), st.floats(0.0, 1000.0), st.floats(20.0, 2000.0))
+def test_the_policys_motion_ends_within_its_bounds(
+    speed: float, angle: float, carry_um: float, epsilon_um: float
+) -> None:
     velocity = (speed * math.cos(angle), speed * math.sin(angle), 0.0)
-    blend = Blend(AT, velocity, HandoverConfig(carry_um=300.0), 0.0)
-    assert math.dist(blend.rest_point.array(), AT.array()) <= 300.0 + 1e-6
+    blend = Blend(AT, velocity, HandoverConfig(carry_um=carry_um), epsilon_um, 0.0)
+    assert math.dist(blend.rest_point.array(), AT.array()) <= min(carry_um, epsilon_um) + 1e-6
 
 
 def test_the_hand_moves_the_tip_by_its_share_and_wholly_in_the_end() -> None:
-    blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(), 0.0)
+    blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(), 500.0, 0.0)
     blend.reference(by_hand(7000.0), 0.0, SPEED)
     half = blend.reference(by_hand(7100.0), 0.4, SPEED)
     assert half is not None
@@ -82,7 +84,7 @@ def test_the_hand_moves_the_tip_by_its_share_and_wholly_in_the_end() -> None:
 
 
 def test_a_clutch_that_was_opened_meanwhile_is_a_new_zero() -> None:
-    blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(), 0.0)
+    blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(), 500.0, 0.0)
     blend.reference(by_hand(0.0), 0.5, SPEED)
     blend.reference(None, 0.6, SPEED)
     anew = blend.reference(by_hand(5000.0), 0.7, SPEED)
