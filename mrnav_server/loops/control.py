@@ -27,6 +27,7 @@ from mrnav_server.loops.guards import (
 )
 from mrnav_server.loops.handover import Blend, HandoverConfig
 from mrnav_server.loops.scene import Scene
+from mrnav_server.loops.sharing import Sharing
 from mrnav_server.loops.stopping import Stopping
 from mrnav_server.loops.surroundings import Surroundings
 from mrnav_server.loops.timing import RollingLatency
@@ -104,6 +105,7 @@ class ControlLoop:
         self._supervised_by_hand = False
         self._announced = False
         self._blend: Blend | None = None
+        self._sharing: Sharing | None = None
         self._stepped_s: float | None = None
         self._sample_s: float | None = None
         self._facts = Facts(leased=False, hand_fresh=False, clutch_closing=False, at_rest=True, arrived=False)
@@ -121,7 +123,7 @@ class ControlLoop:
     def authority(self, now_s: float) -> float:
         """Return the hand's share of control: 0 while the policy drives alone, 1 for the hand alone."""
         if self.machine.mode is Mode.AUTO:
-            return 0.0
+            return self._sharing.authority if self._sharing is not None else 0.0
         return self._blend.authority(now_s) if self._blend is not None else 1.0
 
     def recalibrate(self, calibration: Calibration) -> None:
@@ -194,6 +196,8 @@ class ControlLoop:
         self._stepped_s = now_s
         # A hand that comes into view closed takes over from the policy, but wakes nothing that rests.
         closing = self._hand.take_closing(anew=self.machine.mode is not Mode.AUTO)
+        if self.machine.mode is Mode.AUTO and self._handover.sharing.enabled:
+            closing = self._share(closing=closing, now_s=now_s)
         facts = self._gather(now_s, closing=closing)
         self._facts = facts
         self.generation += closing
@@ -216,6 +220,19 @@ class ControlLoop:
         sent = self.drive.follow(dt_s, reference, tip, now_s, mode)
         if sent is not None and self._sample_s is not None:
             self.hand_to_command.add(sent.sent_s - self._sample_s)
+
+    def _share(self, *, closing: bool, now_s: float) -> bool:
+        """Let a hand whose clutch closes deflect the policy; return whether it has taken over."""
+        if closing and self._sharing is None:
+            self._hand.engage(self.drive.shaper.rest_point, now_s)
+            zero = self._hand.reference(now_s)
+            self._sharing = Sharing(self._handover.sharing, zero, now_s) if zero is not None else None
+        elif self._sharing is not None and not self._hand.engaged:
+            self._sharing = None
+        elif self._sharing is not None and self._sharing.taken_over:
+            self._hand.release()
+            return True
+        return False
 
     def _gather(self, now_s: float, *, closing: bool = False) -> Facts:
         self._read_tip()
@@ -311,8 +328,12 @@ class ControlLoop:
             self._stopping.end()
             self._beat()
         self._blend = self._blend_of(change, now_s)
+        self._sharing = None
         if change.after is not Mode.MANUAL:
             self._hand.release()
+        elif self._hand.engaged:
+            # It drove together with the policy; from here on alone.
+            self._hand.engage(self.drive.shaper.rest_point, now_s)
         # Whoever began AUTO must stay: a console does not stand in for a hand that was lost on the way.
         self._supervised_by_hand = change.after is Mode.AUTO and self._facts.hand_fresh
         self._announced = False
@@ -335,7 +356,7 @@ class ControlLoop:
             z_um = self.drive.shaper.position.z_um
             wish = self._autopilot.reference(scene.seen, scene.tip, z_um, now_s)
             self._announce()
-            return wish
+            return self._with_hand(wish, now_s)
         if mode is not Mode.MANUAL:
             return None
         hand = self._hand.reference(now_s)
@@ -345,6 +366,15 @@ class ControlLoop:
         if wish is None:
             self._blend = None
         return wish
+
+    def _with_hand(self, wish: Reference | None, now_s: float) -> Reference | None:
+        """Return the policy's wish, deflected by a hand that drives together with it."""
+        hand, robot, area = self._hand.reference(now_s), self.scene.robot, self.scene.area
+        if self._sharing is None or wish is None or hand is None or area is None:
+            return wish
+        clearance_um = self._vessel.clearance_um(robot) if robot is not None else None
+        distance_um = self.scene.distance_um
+        return self._sharing.reference(wish, hand, distance_um, clearance_um, area.epsilon_um, now_s)
 
     def _announce(self) -> None:
         """Tell the operator, once a task, that control will soon be his."""

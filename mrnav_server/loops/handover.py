@@ -5,11 +5,12 @@ The policy's last velocity fades out while the hand's motion fades in, both by t
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from mrnav_server.core.frames import StagePoint
 from mrnav_server.core.shaping import Reference, ShaperGains
+from mrnav_server.loops.sharing import SharingConfig
 
 Vector3 = tuple[float, float, float]
 
@@ -30,6 +31,7 @@ class HandoverConfig:
             (0-1000).
         require_robot: Arrival needs the tracked robot inside the area too; False leaves the paper's formula,
             which looks at the end-effector alone.
+        sharing: Whether hand and policy may drive together.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
@@ -39,6 +41,7 @@ class HandoverConfig:
     blend_s: float = 0.8
     carry_um: float = 500.0
     require_robot: bool = True
+    sharing: SharingConfig = field(default_factory=SharingConfig)
 
     def __post_init__(self) -> None:
         for name, most in (("announce_s", 5.0), ("blend_s", 2.0), ("carry_um", 1000.0)):
