@@ -15,6 +15,7 @@ from typing import Any
 from mrnav_server.app.auth import Tokens
 from mrnav_server.app.bench import build_bench
 from mrnav_server.app.console_desk import ConsoleDesk
+from mrnav_server.app.drift_patrol import DriftPatrol
 from mrnav_server.app.hand_seat import HandSeat
 from mrnav_server.app.herald import Herald
 from mrnav_server.app.navigator import Navigator
@@ -44,7 +45,6 @@ from mrnav_server.loops.tracking import TrackingLoop
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
 from mrnav_server.sim.clock import WorldClock
-from mrnav_server.vision.drift import DriftWatch
 from mrnav_server.vision.frame_watch import FrameWatch
 from mrnav_server.vision.model_store import find_model
 from mrnav_server.vision.tracker import Tracker
@@ -145,11 +145,20 @@ class Rig:
             record=self.herald.record,
             clock=clock,
         )
+        self._camera_fault = ""
+        self._drift = DriftPatrol(
+            settings.drift,
+            self.vessel,
+            self.calibration,
+            self.frames,
+            lambda: self._camera_fault,
+            self.herald.announce,
+        )
         around = self.control.surroundings
         around.recorder_fault = lambda: self._recorder.fault or ""
         around.camera_fault = lambda: self._camera_fault
-        around.drift_warning = lambda: self._drift.drift.warning or self._registration_warning
-        around.drift_fault = lambda: self._drift.drift.warning if self._drift.drift.holds else ""
+        around.drift_warning = lambda: self._drift.warning() or self._registration_warning
+        around.drift_fault = self._drift.fault
         around.device_warnings = self.bench.manipulator.warnings
         around.announce = lambda left_s: self.herald.announce(
             "handover_announced", {"in_s": round(left_s, 2), "distance_um": self.control.scene.distance_um}
@@ -170,9 +179,7 @@ class Rig:
             transform={"gain": settings.hand.gain, "vertical_gain": settings.hand.vertical_gain},
         )
         self._twin: Mapping[str, object] | None = None
-        self._camera_fault = ""
         self._tracker = Tracker(settings.tracker, self.calibration)
-        self._drift = DriftWatch(settings.drift, self.calibration, self.vessel)
         self._registration_warning = self.registration.restore()
         self._running = False
         self._fresh_track = asyncio.Event()
@@ -293,7 +300,7 @@ class Rig:
                 group.create_task(self._run_twin(), name="twin")
                 group.create_task(self._run_planner(), name="planner")
                 group.create_task(self.film.run(), name="film")
-                group.create_task(self._run_drift(), name="drift")
+                group.create_task(self._drift.run(self._clock), name="drift")
                 listening = asyncio.Event()
                 group.create_task(self._hand_link.run(listening), name="hand link")
                 await listening.wait()
@@ -334,19 +341,6 @@ class Rig:
                 else:
                     self.navigator.autopilot.deliver(order, path)
 
-    async def _run_drift(self) -> None:
-        """Compare the walls in the picture with what they were, away from the event loop."""
-        version = 0
-        async for _ in ticks(self.settings.drift.look_s, self._clock):
-            if self._camera_fault or self.frames.version == version or self.frames.value is None:
-                continue
-            version = self.frames.version
-            before = self._drift.drift.warning
-            watch = self._drift
-            seen = await asyncio.to_thread(watch.look, self.frames.value.image)
-            if watch is self._drift and bool(seen.warning) != bool(before):
-                self.herald.announce("fault", {"reason": seen.warning or "the vessel is where it was"})
-
     def _step(self, now_s: float, received_s: float | None = None) -> None:
         """Step the control loop, at a beat or for a hand sample that was received just now."""
         if self.bench.world_clock is not None:
@@ -381,7 +375,7 @@ class Rig:
         self.navigator.recalibrate(calibration)
         self.telemetry.recalibrate(calibration)
         self._tracker.recalibrate(calibration)
-        self._drift = DriftWatch(self.settings.drift, calibration, self.vessel)
+        self._drift.recalibrate(calibration)
         self._registration_warning = ""
 
     def _simulated_place(self) -> object:
