@@ -1,4 +1,4 @@
-"""How fast running processes react to faults: of the operator, and of the manipulator's controller.
+"""How fast running processes react to faults: of the operator, the controller, and the camera.
 
 Run from a checkout: ``python -m benchmarks.faults``. Prints one JSON object; times come from the
 server's and the emulator's own monotonic stamps. All simulated.
@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.camera_rig import CameraRig
+from tests.camera_server import FAULTS
 from tests.emulated_rig import EmulatedRig
 from tests.rig_process import RigProcess
 
@@ -58,6 +60,9 @@ PATIENT = {"MRNAV_SUPERVISOR__HANG_S": "0.2"}
 """What is measured here is the rig's reaction, and not the supervisor's on a busy machine."""
 
 
+CAMERA_REPEATS = 20
+
+
 def fault_after(knobs: dict[str, object], repeats: int) -> list[float]:
     """Return how long after a fault of the controller in motion the rig was in FAULT, in ms."""
     took_ms = []
@@ -73,6 +78,30 @@ def fault_after(knobs: dict[str, object], repeats: int) -> list[float]:
             took_ms.append(1000 * (events[0]["t"] - began_s))
             emulated.recover()
     return took_ms
+
+
+def camera_fault_after(fault: str, repeats: int) -> list[float]:
+    """Return how long after the first spoilt picture the rig left AUTO for HOLD, by its log, in ms.
+
+    A picture is spoilt at the moment when it was taken, or should have been.
+    """
+    spoilt_s = []
+    with tempfile.TemporaryDirectory() as folder, CameraRig(Path(folder)) as filmed:
+        trial = filmed.prepare()
+        for _ in range(repeats):
+            filmed.go()
+            spoilt_s.append(filmed.spoil(fault))
+            filmed.rig.until(lambda s: s["mode"] == "HOLD", "HOLD", 5.0)
+            time.sleep(0.3)
+            filmed.spoil("recover")
+        filmed.rig.post(f"/api/v1/trials/{trial}/end", {})
+        lines = filmed.rig.log(trial)
+    held_s = [
+        line.t_s
+        for line in lines
+        if line.topic == "mode" and (line.data["before"], line.data["mode"]) == ("AUTO", "HOLD")
+    ]
+    return [1000 * (min(t for t in held_s if t >= at_s) - at_s) for at_s in spoilt_s]
 
 
 def main() -> None:
@@ -100,6 +129,14 @@ def main() -> None:
         result[name] = {
             "fault_ms_median": round(float(np.median(took_ms)), 1),
             "fault_ms_max": round(max(took_ms), 1),
+        }
+    for fault in FAULTS:
+        took_ms = camera_fault_after(fault, max(repeats, CAMERA_REPEATS))
+        print(f"simulated camera, {fault}: HOLD after {max(took_ms):.1f} ms at most", file=sys.stderr)
+        result[f"camera_{fault}"] = {
+            "n": len(took_ms),
+            "hold_ms_median": round(float(np.median(took_ms)), 1),
+            "hold_ms_max": round(max(took_ms), 1),
         }
     print(json.dumps(result))
 

@@ -146,6 +146,7 @@ class Rig:
             clock=clock,
         )
         self._camera_fault = ""
+        self._frame_watch = FrameWatch(settings.camera.fps, settings.tracker.darkest_gray)
         self._drift = DriftPatrol(
             settings.drift,
             self.vessel,
@@ -156,7 +157,7 @@ class Rig:
         )
         around = self.control.surroundings
         around.recorder_fault = lambda: self._recorder.fault or ""
-        around.camera_fault = lambda: self._camera_fault
+        around.camera_fault = lambda: self._camera_fault or self._frame_watch.overdue(self._clock())
         around.drift_warning = lambda: self._drift.warning() or self._registration_warning
         around.drift_fault = self._drift.fault
         around.device_warnings = self.bench.manipulator.warnings
@@ -286,9 +287,8 @@ class Rig:
 
     async def _run_loops(self, started: asyncio.Event) -> None:
         """Run every loop until cancelled, or until one fails."""
-        watch = FrameWatch(self.settings.camera.fps, self.settings.tracker.darkest_gray)
         tracking = TrackingLoop(
-            self.bench.camera, self._tracker, self._on_track, self._on_camera, watch, self._clock
+            self.bench.camera, self._tracker, self._on_track, self._on_camera, self._frame_watch, self._clock
         )
         try:
             async with asyncio.TaskGroup() as group:

@@ -15,8 +15,12 @@ _SHARE = 0.02
 _WHITE = 253
 _SLOW = 1.5
 """A camera is slow when its period is longer than the nominal one by this factor."""
+_OVERDUE = 1.35
+"""After a long period the next one is long when it has lasted for so many nominal ones."""
+_TWICE = 2
+"""Long periods in a row that make a camera slow; a single one is a frame that was lost."""
 _STEADY = 5
-"""Frames in a row that must agree before the camera is called slow or late, and before it no longer is."""
+"""Frames in a row that must agree before a camera is late, and before it is no longer late or slow."""
 _WINDOW = 30
 _FEW_MISSING = 3
 """So many frames missing within the window are named."""
@@ -56,7 +60,7 @@ class FrameWatch:
     """Watches a camera's frames.
 
     A fault of the content is named at once, since no position can come of it. A fault of the timing is named
-    when it lasts, and until it has been gone for as long; single late frames are the tracker's to bridge.
+    when it repeats, and until it has been gone for a while; single lost frames are the tracker's to bridge.
 
     Args:
         fps: Frames a second that the camera promises.
@@ -71,7 +75,8 @@ class FrameWatch:
         self._stale_s = stale_s
         self._picture = PictureWatch(darkest_gray)
         self._last: tuple[int, float] | None = None
-        self._slow, self._late = _Steady(), _Steady()
+        self._slow, self._late = _Steady(_TWICE, _STEADY), _Steady(_STEADY, _STEADY)
+        self._arrived: tuple[float, bool] | None = None
         self._gaps: deque[int] = deque(maxlen=_WINDOW)
         self._has_gaps = False
         self._kind, self._sentence = "", ""
@@ -90,12 +95,29 @@ class FrameWatch:
             self._kind, self._sentence = kind, sentence
         return self._sentence
 
+    def overdue(self, now_s: float) -> str:
+        """Return that the camera is slow before its next frame could say so, or "".
+
+        May be asked from another thread than the one that looks.
+
+        Args:
+            now_s: Now, on the clock of the arrivals.
+        """
+        if self._arrived is None:
+            return ""
+        arrived_s, was_long = self._arrived
+        if not was_long or now_s - arrived_s <= _OVERDUE * self._period_s:
+            return ""
+        return "the camera is slow: two of its frames in a row are overdue"
+
     def _fault(self, frame: Frame, now_s: float) -> tuple[str, str]:
         content = self._picture.fault(frame.image)
         age_s = now_s - frame.taken_s
         late = self._late(age_s > self._stale_s)
         period_s = self._note(frame)
-        slow = self._slow(period_s > _SLOW * self._period_s)
+        long = period_s > _SLOW * self._period_s
+        slow = self._slow(long)
+        self._arrived = (now_s, long)
         lost = sum(self._gaps)
         self._has_gaps = lost >= _FEW_MISSING or (self._has_gaps and lost > 0)
         if content:
@@ -130,12 +152,13 @@ class FrameWatch:
 class _Steady:
     """A condition that sets in, and ends, only when it has lasted for some frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, begins: int, ends: int) -> None:
+        self._needed = {False: begins, True: ends}
         self._holds = False
         self._against = 0
 
     def __call__(self, now: bool) -> bool:
         self._against = 0 if now is self._holds else self._against + 1
-        if self._against >= _STEADY:
+        if self._against >= self._needed[self._holds]:
             self._holds, self._against = now, 0
         return self._holds
