@@ -81,10 +81,13 @@ def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float
         vessel: The vessel model.
         clock: Monotonic time in seconds.
     """
+    core = SharedCore(settings.micromanager)
+    if "simulated" not in (settings.manipulator.driver, settings.rig.camera):
+        manipulator, real = build_manipulator(settings, clock, core), build_camera(settings, clock, core)
+        return Bench(manipulator, real, _measured(settings, vessel), None, None, _name(settings))
     follows = settings.manipulator.driver != "simulated"
     sim = dataclasses.replace(settings.sim, manipulator_lag_s=_FOLLOWING_LAG_S) if follows else settings.sim
     world = SimulatedWorld(sim, vessel, settings.camera)
-    core = SharedCore(settings.micromanager)
     manipulator = build_manipulator(settings, clock, core) if follows else SimulatedManipulator(world)
 
     def reported_tip() -> StagePoint:
@@ -94,26 +97,23 @@ def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float
         camera: Camera = _simulated_camera(settings, vessel, world, clock)
     else:
         camera = build_camera(settings, clock, core)
-    needs_world = "simulated" in (settings.manipulator.driver, settings.rig.camera)
     return Bench(
         manipulator,
         camera,
-        _calibration(settings, vessel, world),
-        world if needs_world else None,
-        WorldClock(world, clock, reported_tip if follows else None) if needs_world else None,
+        world.calibration if settings.rig.calibration is None else _measured(settings, vessel),
+        world,
+        WorldClock(world, clock, reported_tip if follows else None),
         _name(settings),
     )
 
 
-def build_manipulator(
-    settings: Settings, clock: Callable[[], float], core: SharedCore | None = None
-) -> Manipulator:
+def build_manipulator(settings: Settings, clock: Callable[[], float], core: SharedCore) -> Manipulator:
     """Build the manipulator that ``manipulator.driver`` names, which is not the simulated one.
 
     Args:
         settings: Sections ``sensapex`` and ``micromanager`` describe it.
         clock: Monotonic time in seconds.
-        core: Micro-Manager's core that a camera shares with it; one of its own if left out.
+        core: Micro-Manager's core, which a camera may share.
 
     Raises:
         ValueError: If the driver is the simulated one, which needs a world.
@@ -124,21 +124,20 @@ def build_manipulator(
         case "sensapex-sdk":
             return SdkManipulator(settings.sensapex, clock)
         case "micromanager":
-            core = core or SharedCore(settings.micromanager)
             return MicroManagerManipulator(settings.micromanager, core, clock)
         case "simulated":
             raise ValueError("the simulated manipulator belongs to a simulated world")
 
 
 def build_camera(
-    settings: Settings, clock: Callable[[], float], core: SharedCore | None = None
+    settings: Settings, clock: Callable[[], float], core: SharedCore
 ) -> UsbCamera | VideoFileCamera | MicroManagerCamera:
     """Build the camera that ``rig.camera`` names, which is not the simulated one.
 
     Args:
         settings: Sections ``camera`` and ``micromanager`` describe it.
         clock: Monotonic time in seconds.
-        core: Micro-Manager's core that a manipulator shares with it; one of its own if left out.
+        core: Micro-Manager's core, which a manipulator may share.
 
     Raises:
         ValueError: If the camera is the simulated one, which needs a world.
@@ -152,7 +151,6 @@ def build_camera(
             film = settings.camera
             return VideoFileCamera(Path(film.file), film, clock, loop=film.loop)
         case "micromanager":
-            core = core or SharedCore(settings.micromanager)
             return MicroManagerCamera(settings.micromanager, settings.camera, core, clock)
         case "simulated":
             raise ValueError("the simulated camera belongs to a simulated world")
@@ -163,21 +161,19 @@ def camera_format(camera: Camera) -> str:
     return camera.format if isinstance(camera, UsbCamera | VideoFileCamera) else ""
 
 
-def _calibration(settings: Settings, vessel: VesselMap, world: SimulatedWorld) -> Calibration:
-    """Return what the server goes by: a measured calibration, or what the simulator knows of itself.
+def _measured(settings: Settings, vessel: VesselMap) -> Calibration:
+    """Return the measured calibration that the settings name.
 
     Raises:
-        ConfigError: If the file cannot be used, or real devices have none.
+        ConfigError: If there is none, or it cannot be used.
     """
-    if settings.rig.calibration is not None:
-        simulated = settings.rig.camera == "simulated"
-        return load_calibration(Path(settings.rig.calibration), settings.camera, vessel, simulated=simulated)
-    if "simulated" not in (settings.manipulator.driver, settings.rig.camera):
+    if settings.rig.calibration is None:
         raise ConfigError(
             "rig.calibration: a manipulator under a real camera needs a measured calibration: run"
             " `mrnav calibrate run` and name its file"
         )
-    return world.calibration
+    simulated = settings.rig.camera == "simulated"
+    return load_calibration(Path(settings.rig.calibration), settings.camera, vessel, simulated=simulated)
 
 
 def _simulated_camera(

@@ -7,11 +7,12 @@ from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from mrnav_server.app.bench import build_bench
+from mrnav_server.app.bench import build_camera, build_manipulator
 from mrnav_server.app.calibration_bench import SimulatedBench
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.devices.base import Camera, Manipulator
+from mrnav_server.devices.micromanager.shared_core import SharedCore
 from mrnav_server.loops.calibration_host import CalibrationHost
 from mrnav_server.settings import Settings
 from mrnav_server.sim.optics import OpticsConfig
@@ -94,10 +95,10 @@ async def calibrate_simulated(
 
 
 async def calibrate_real(
-    settings: Settings, vessel: VesselMap, procedure: Procedure, ask: Ask, told: Told, draft_path: Path
+    settings: Settings, procedure: Procedure, ask: Ask, told: Told, draft_path: Path
 ) -> None:
     """Run the procedure on the devices that the settings name; a person prepares the bench."""
-    async with _real_host(settings, vessel, ask) as host:
+    async with _real_host(settings, ask) as host:
         await run_procedure(procedure, host, told, draft_path)
 
 
@@ -110,11 +111,9 @@ async def check_simulated(
         return await run_check(file, plan, host)
 
 
-async def check_real(
-    settings: Settings, vessel: VesselMap, file: CalibrationFile, plan: CalibrationConfig, ask: Ask
-) -> HeldOut:
+async def check_real(settings: Settings, file: CalibrationFile, plan: CalibrationConfig, ask: Ask) -> HeldOut:
     """Compare the tip's map with where the tip is seen."""
-    async with _real_host(settings, vessel, ask) as host:
+    async with _real_host(settings, ask) as host:
         return await run_check(file, plan, host)
 
 
@@ -139,10 +138,12 @@ async def _simulated_host(bench: SimulatedBench, settings: Settings) -> AsyncIte
 
 
 @asynccontextmanager
-async def _real_host(settings: Settings, vessel: VesselMap, ask: Ask) -> AsyncIterator[CalibrationHost]:
-    bench = build_bench(settings, vessel, time.monotonic)
-    async with _opened(bench.manipulator, bench.camera):
-        yield CalibrationHost(bench.manipulator, bench.camera, settings.limits, ask, time.monotonic)
+async def _real_host(settings: Settings, ask: Ask) -> AsyncIterator[CalibrationHost]:
+    # Not the bench that the server drives: that one needs the calibration which is made here.
+    core, clock = SharedCore(settings.micromanager), time.monotonic
+    manipulator, camera = build_manipulator(settings, clock, core), build_camera(settings, clock, core)
+    async with _opened(manipulator, camera):
+        yield CalibrationHost(manipulator, camera, settings.limits, ask, clock)
 
 
 @asynccontextmanager

@@ -184,7 +184,7 @@ async def _calibrate(
     from mrnav_server.app.calibration_run import calibrate_real, calibrate_simulated
 
     if not simulated:
-        await calibrate_real(settings, vessel, procedure, _ask, told, draft_path)
+        await calibrate_real(settings, procedure, _ask, told, draft_path)
         return None
     bench = await calibrate_simulated(settings, vessel, procedure, plan.sheet, told, draft_path)
     return lambda file: asdict(bench.true_errors(file, vessel, plan.height_factor))
@@ -196,7 +196,7 @@ async def _check(settings: "Settings", vessel: "VesselMap", file: "CalibrationFi
     plan = _plan(settings.calibration, file.floor.square_um, file.water.depth_um)
     if _is_simulated(settings):
         return await check_simulated(settings, vessel, file, plan)
-    return await check_real(settings, vessel, file, plan, _ask)
+    return await check_real(settings, file, plan, _ask)
 
 
 async def _ask(step: "Prepare") -> None:

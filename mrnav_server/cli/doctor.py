@@ -142,6 +142,7 @@ def _port(host: str, port: int) -> str:
 def _manipulator(settings: "Settings") -> Iterator[Check]:
     """Find the manipulator that the settings name, and what else answers on its network; nothing moves."""
     from mrnav_server.app.bench import build_manipulator
+    from mrnav_server.devices.micromanager.shared_core import SharedCore
 
     driver = settings.manipulator.driver
     if driver == "simulated":
@@ -149,7 +150,7 @@ def _manipulator(settings: "Settings") -> Iterator[Check]:
         return
     if driver.startswith("sensapex"):
         yield from _controllers(settings)
-    manipulator = build_manipulator(settings, time.monotonic)
+    manipulator = build_manipulator(settings, time.monotonic, SharedCore(settings.micromanager))
 
     async def look() -> str:
         await manipulator.open()
@@ -179,9 +180,10 @@ def _camera(settings: "Settings") -> str:
     if settings.rig.camera == "simulated":
         return "simulated"
     from mrnav_server.app.bench import build_camera, camera_format
+    from mrnav_server.devices.micromanager.shared_core import SharedCore
     from mrnav_server.devices.pictures import FRAMES_TO_MEASURE
 
-    camera = build_camera(settings, time.monotonic)
+    camera = build_camera(settings, time.monotonic, SharedCore(settings.micromanager))
     camera.open()
     try:
         for _ in range(FRAMES_TO_MEASURE):
