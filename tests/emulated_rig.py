@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mrnav_server.cli.emulate import start_of_the_rig
 from mrnav_server.devices.sensapex.emulator_faults import Faults
 from mrnav_server.devices.sensapex.smcp1 import MOVE, UNDEFINED, Block, Kind, Message, encode
+from mrnav_server.settings import Settings
 from tests.devices.emulator_process import EmulatorProcess
 from tests.rig_process import MRNAV, RigProcess, wait_for
 
@@ -48,8 +50,9 @@ class EmulatedRig:
         self._folder = folder
         self._command = command
         self.settings = SMALL | {"MRNAV_MANIPULATOR__DRIVER": driver} | dict(env or {})
-        # Where the settings' simulated rig begins; said here so that the emulator imports nothing heavy.
-        self.emulator = EmulatorProcess(folder, "--control-port", "0", "--at", start_of_the_rig())
+        # Said here, so that the emulator imports nothing heavy.
+        at = ",".join(map(str, start_of_the_rig(Settings())))
+        self.emulator = EmulatorProcess(folder, "--control-port", "0", "--at", at)
 
     def __enter__(self) -> "EmulatedRig":
         self.emulator.__enter__()
@@ -135,15 +138,3 @@ class EmulatedRig:
     def truth(self) -> dict[str, Any]:
         """Return where the emulated manipulator really is."""
         return self.emulator.turn()
-
-
-def start_of_the_rig() -> str:
-    """Return where the tip of the default simulated rig begins, as the emulator takes it."""
-    from mrnav_server.core.picture import PictureFormat
-    from mrnav_server.sim.world import SimConfig, SimulatedWorld
-    from mrnav_server.vision.model_store import find_model
-    from mrnav_server.vision.vessel_model import load_vessel_model
-
-    vessel = load_vessel_model(find_model("bifurcation"))
-    tip = SimulatedWorld(SimConfig(), vessel, PictureFormat()).tip
-    return f"{tip.x_um},{tip.y_um},{tip.z_um},10000"

@@ -1,11 +1,11 @@
 """The devices on the bench, chosen by settings. Building touches none of them."""
 
 import dataclasses
-import ipaddress
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from mrnav_server.app.calibration_scene import SimulatedScene
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import Calibration, StagePoint
 from mrnav_server.core.vessel import VesselMap
@@ -14,6 +14,8 @@ from mrnav_server.devices.cameras import UsbCamera
 from mrnav_server.devices.micromanager.camera import MicroManagerCamera
 from mrnav_server.devices.micromanager.manipulator import MicroManagerManipulator
 from mrnav_server.devices.micromanager.shared_core import SharedCore
+from mrnav_server.devices.sensapex.discovery import is_emulated
+from mrnav_server.devices.sensapex.manipulator import SensapexManipulator
 from mrnav_server.devices.sensapex.raw_stop import RawStop
 from mrnav_server.devices.sensapex.sdk import SdkManipulator
 from mrnav_server.devices.sensapex.udp import UdpManipulator
@@ -22,7 +24,6 @@ from mrnav_server.devices.video_file import VideoFileCamera
 from mrnav_server.settings import Settings
 from mrnav_server.sim.clock import WorldClock
 from mrnav_server.sim.devices import SimulatedCamera, SimulatedManipulator
-from mrnav_server.sim.microscope import Microscope
 from mrnav_server.sim.world import SimulatedWorld
 from mrnav_server.vision.calibration_file import load_calibration
 
@@ -41,6 +42,7 @@ class Bench:
         world: The simulated world behind simulated devices; None without them.
         world_clock: Keeps that world on real time.
         name: What stands here, for people.
+        scene: What lies under a simulated camera; None under a real one.
     """
 
     manipulator: Manipulator
@@ -49,11 +51,12 @@ class Bench:
     world: SimulatedWorld | None
     world_clock: WorldClock | None
     name: str
+    scene: SimulatedScene | None = None
 
     @property
     def stop_path(self) -> RawStop | None:
         """The way on which another process can stop the manipulator; None without one, or before opening."""
-        if isinstance(self.manipulator, UdpManipulator | SdkManipulator):
+        if isinstance(self.manipulator, SensapexManipulator):
             return self.manipulator.stop_path
         return None
 
@@ -66,8 +69,7 @@ class Bench:
     def simulated(self) -> bool:
         """Whether any part of the rig is not the real thing; known for sure once it is open."""
         path = self.stop_path
-        emulated = path is not None and ipaddress.ip_address(path.target[0]).is_loopback
-        return self.world is not None or emulated
+        return self.world is not None or (path is not None and is_emulated(path.target[0]))
 
 
 def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float]) -> Bench:
@@ -93,8 +95,10 @@ def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float
     def reported_tip() -> StagePoint:
         return manipulator.tip().position
 
+    scene: SimulatedScene | None = None
     if settings.rig.camera == "simulated":
-        camera: Camera = _simulated_camera(settings, vessel, world, clock)
+        scene = SimulatedScene(settings, vessel, world)
+        camera: Camera = SimulatedCamera(settings.sim, settings.camera, world.snapshot, scene.render, clock)
     else:
         camera = build_camera(settings, clock, core)
     return Bench(
@@ -104,6 +108,7 @@ def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float
         world,
         WorldClock(world, clock, reported_tip if follows else None),
         _name(settings),
+        scene,
     )
 
 
@@ -174,16 +179,6 @@ def _measured(settings: Settings, vessel: VesselMap) -> Calibration:
         )
     simulated = settings.rig.camera == "simulated"
     return load_calibration(Path(settings.rig.calibration), settings.camera, vessel, simulated=simulated)
-
-
-def _simulated_camera(
-    settings: Settings, vessel: VesselMap, world: SimulatedWorld, clock: Callable[[], float]
-) -> SimulatedCamera:
-    sim, picture = settings.sim, settings.camera
-    microscope = Microscope(
-        settings.microscope, picture, sim.magnets, vessel, world.true_calibration, sim.seed, world.optics
-    )
-    return SimulatedCamera(sim, picture, world.snapshot, microscope.render, clock)
 
 
 def _name(settings: Settings) -> str:

@@ -112,7 +112,7 @@ class SimulatedBench:
         um = self._um
         line = np.linspace(0.0, vessel.size_px, 13)
         grid = [VesselPoint(float(x), float(y)) for y in line for x in line]
-        floor = [_away(found.vessel_point(view.image_point(p)), p) * um for p in grid]
+        floor = [found.vessel_point(view.image_point(p)).distance_px(p) * um for p in grid]
         inner = [VesselPoint(float(x), float(y)) for y in line[3:-3] for x in line[3:-3]]
         tips, held = [], []
         dx, dy = truth.magnet_offset_um
@@ -124,7 +124,7 @@ class SimulatedBench:
             seen = found.vessel_point(view.tip_in_image(tip))
             guessed = found.vessel_point(found.tip_in_image(tip))
             tips.append(((guessed.x_px - seen.x_px) * um, (guessed.y_px - seen.y_px) * um))
-            held.append(_away(found.held_point(replace(tip, z_um=z_um)), point) * um)
+            held.append(found.held_point(replace(tip, z_um=z_um)).distance_px(point) * um)
         misses = np.array(tips)
         far = np.linalg.norm(misses, axis=1)
         return TrueErrors(
@@ -163,10 +163,6 @@ def _seen_um(optics: Optics | None, truth: Calibration, width_px: int, height_px
         np.stack([x[0] * columns + x[1] * rows + x[2], y[0] * columns + y[1] * rows + y[2]], -1)
         * truth.um_per_px
     )
-
-
-def _away(a: VesselPoint, b: VesselPoint) -> float:
-    return a.distance_px(b)
 
 
 def _rms(values: FloatArray) -> float:

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Generator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from mrnav_server.sim.optics import OpticsConfig
 from mrnav_server.vision.calibration_check import check_tip
 from mrnav_server.vision.calibration_file import CalibrationFile
 from mrnav_server.vision.calibration_parts import Draft, HeldOut
-from mrnav_server.vision.calibration_plan import CalibrationConfig, Prepare, Step
+from mrnav_server.vision.calibration_plan import Answer, CalibrationConfig, Prepare, Step
 from mrnav_server.vision.calibration_procedure import Procedure
 from mrnav_server.vision.charuco import SheetConfig
 
@@ -43,7 +43,8 @@ async def run_procedure(
             save_draft(procedure.draft, draft_path)
         stage = step.stage
         told(step)
-        procedure.told(await host.perform(step))
+        # In a thread: drivers that the event loop keeps in touch would seem silent after long sums.
+        await asyncio.to_thread(procedure.told, await host.perform(step))
     if draft_path is not None:
         save_draft(procedure.draft, draft_path)
 
@@ -120,13 +121,18 @@ async def check_real(settings: Settings, file: CalibrationFile, plan: Calibratio
 async def run_check(file: CalibrationFile, plan: CalibrationConfig, host: CalibrationHost) -> HeldOut:
     """Visit places that nothing was fitted to; return how far off the tip's map is."""
     steps = check_tip(file.floor, file.tip, plan)
-    step = next(steps)
-    while True:
-        try:
-            step = steps.send(await host.perform(step))
-        except StopIteration as end:
-            held_out: HeldOut = end.value
-            return held_out
+    step: Step | HeldOut = next(steps)
+    while not isinstance(step, HeldOut):
+        step = await asyncio.to_thread(_after, steps, await host.perform(step))
+    return step
+
+
+def _after(steps: Generator[Step, Answer, HeldOut], answer: Answer) -> Step | HeldOut:
+    try:
+        return steps.send(answer)
+    except StopIteration as end:
+        held_out: HeldOut = end.value
+        return held_out
 
 
 @asynccontextmanager

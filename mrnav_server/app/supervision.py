@@ -63,7 +63,7 @@ async def supervised(
         _log.warning("%s", report.sentence)
         herald.announce("fault", {"reason": report.sentence})
 
-    target = StopTarget(*path.target, settings.sensapex.wire_id)
+    target = StopTarget(*path.target, path.device_id)
     supervisor = Supervisor(settings.supervisor, target, root / REPORT_NAME, clock, control.fail, on_report)
     async with supervisor:
         around = control.surroundings

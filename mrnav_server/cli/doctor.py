@@ -1,7 +1,6 @@
 """``mrnav doctor``: what works on this machine, what does not, and what to do about it."""
 
 import asyncio
-import ipaddress
 import json
 import os
 import platform
@@ -165,13 +164,12 @@ def _manipulator(settings: "Settings") -> Iterator[Check]:
 
 def _controllers(settings: "Settings") -> Iterator[Check]:
     """List every Sensapex device that answers; none is a fault that opening the manipulator explains."""
-    from mrnav_server.devices.sensapex.discovery import LINK_LOCAL, LOOPBACK, discover
+    from mrnav_server.devices.sensapex.discovery import discover, is_emulated
 
     sensapex = settings.sensapex
-    addresses = [sensapex.address] if sensapex.address else [LINK_LOCAL, LOOPBACK]
-    for found in asyncio.run(discover(addresses, sensapex.port, time.monotonic)):
+    for found in asyncio.run(discover(sensapex.addresses, sensapex.port, time.monotonic)):
         at = ", ".join(f"{axis_um:.0f}" for axis_um in found.position_um) or "an unknown position"
-        emulated = " (emulated)" if ipaddress.ip_address(found.address).is_loopback else ""
+        emulated = " (emulated)" if is_emulated(found.address) else ""
         seen = f"{found.address}{emulated}, firmware {found.version}, {found.axes} axes"
         yield Check(f"device {found.device_id}", ok=True, found=f"{seen}, at {at} of 0..20000 µm")
 

@@ -7,7 +7,7 @@ import signal
 import socket
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,9 @@ from mrnav_server.devices.sensapex.emulated_registers import DeviceModel
 from mrnav_server.devices.sensapex.emulator import Emulator, Ports
 from mrnav_server.devices.sensapex.emulator_faults import Faults
 from mrnav_server.devices.sensapex.smcp1 import BASE_PORT
+
+if TYPE_CHECKING:
+    from mrnav_server.settings import Settings
 
 _ANSWER_S = 5.0
 
@@ -78,7 +81,12 @@ def ump(
             "silence_s": silence_s,
         }
     )
-    start_um = _numbers("--at", at) if at else _start_of_the_rig(config)
+    if at:
+        start_um = _numbers("--at", at)
+    else:
+        from mrnav_server.settings import load_settings
+
+        start_um = start_of_the_rig(load_settings(config, os.environ))
     devices = [
         EmulatedDevice(DeviceModel(number, axes, start_um, port=BASE_PORT + group, seed=seed), faults)
         for number in device_ids or [1]
@@ -146,14 +154,12 @@ def _announce(ports: Ports, ids: list[int], ready_file: Path | None) -> None:
         part.replace(ready_file)
 
 
-def _start_of_the_rig(config: Path | None) -> tuple[float, ...]:
-    """Return where the tip of the settings' simulated rig begins, so that it meets the vessel."""
-    from mrnav_server.settings import load_settings
+def start_of_the_rig(settings: "Settings") -> tuple[float, ...]:
+    """Return where the tip of the settings' simulated rig begins, in µm, so that it meets the vessel."""
     from mrnav_server.sim.world import SimulatedWorld
     from mrnav_server.vision.model_store import find_model
     from mrnav_server.vision.vessel_model import load_vessel_model
 
-    settings = load_settings(config, os.environ)
     vessel = load_vessel_model(find_model(settings.rig.vessel))
     tip = SimulatedWorld(settings.sim, vessel, settings.camera).tip
     return tip.x_um, tip.y_um, tip.z_um, TRAVEL_UM / 2

@@ -7,16 +7,6 @@ from mrnav_server.autonomy.geodesic_policy import GeodesicPolicy, sees
 from mrnav_server.autonomy.policy import Sampler
 from mrnav_server.core.navigation import free_actions, observation, step
 from mrnav_server.core.vessel import VesselMap
-from mrnav_server.vision.vessel_model import vessel_map
-
-
-@pytest.fixture(scope="module")
-def corner() -> VesselMap:
-    """An L: free space x 31..169 at y 31..59 and, at its right end, x 141..169 down to y 169."""
-    mask = np.zeros((200, 200), np.uint8)
-    mask[20:71, 20:181] = 255
-    mask[20:181, 130:181] = 255
-    return vessel_map("corner", mask, robot_radius_um=100.0)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mrnav_server.core.errors import DeviceError
 from mrnav_server.devices.sensapex.config import SensapexConfig, device_id_of, is_device, wire_id
-from mrnav_server.devices.sensapex.discovery import discover, find
+from mrnav_server.devices.sensapex.discovery import discover, find, is_emulated
 from mrnav_server.devices.sensapex.smcp1 import Kind, Message, Option, decode, encode
 from tests.devices.emulator_process import EmulatorProcess, own_host
 from tests.devices.sensapex_rig import config_of, kinds, sound
@@ -123,6 +123,16 @@ class TestSettings:
         settings: dict[str, Any] = {setting: value}
         with pytest.raises(ValueError, match=setting):
             SensapexConfig(**settings)
+
+    def test_the_lab_s_network_is_asked_before_this_computer_unless_an_address_is_known(self) -> None:
+        assert SensapexConfig().addresses == ("169.254.255.255", "127.0.0.1")
+        assert SensapexConfig(address="169.254.1.7").addresses == ("169.254.1.7",)
+
+    @pytest.mark.parametrize(
+        ("address", "emulated"), [("127.0.0.1", True), ("127.0.0.9", True), ("169.254.1.7", False)]
+    )
+    def test_a_controller_on_this_computer_is_an_emulated_one(self, address: str, emulated: bool) -> None:
+        assert is_emulated(address) is emulated
 
     def test_a_serial_number_has_an_id_of_its_own(self) -> None:
         assert wire_id(11_400_123) == 0x107B

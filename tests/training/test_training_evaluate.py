@@ -56,14 +56,6 @@ def room() -> VesselMap:
     return vessel_map("room", mask, robot_radius_um=100.0)
 
 
-@pytest.fixture(scope="module")
-def corner() -> VesselMap:
-    mask = np.zeros((200, 200), np.uint8)
-    mask[20:71, 20:181] = 255
-    mask[20:181, 130:181] = 255
-    return vessel_map("corner", mask, robot_radius_um=100.0)
-
-
 def run(
     vessel: VesselMap,
     action: int | None,

@@ -14,18 +14,6 @@ from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.training.environment import VesselNavigation
 from mrnav_server.training.sb3_import import import_sb3
-from mrnav_server.vision.vessel_model import save_vessel_model, vessel_map
-
-
-@pytest.fixture(scope="module")
-def chamber() -> VesselMap:
-    return vessel_map("chamber", np.full((60, 60), 255, np.uint8), robot_radius_um=100.0)
-
-
-@pytest.fixture
-def model(chamber: VesselMap, tmp_path: Path) -> Path:
-    save_vessel_model(tmp_path / "chamber", chamber, "chamber", "test")
-    return tmp_path / "chamber"
 
 
 @pytest.mark.parametrize(

@@ -32,14 +32,6 @@ from mrnav_server.training.train import train
 from mrnav_server.vision.vessel_model import save_vessel_model, vessel_map
 
 
-@pytest.fixture(scope="module")
-def corner() -> VesselMap:
-    mask = np.zeros((200, 200), np.uint8)
-    mask[20:71, 20:181] = 255
-    mask[20:181, 130:181] = 255
-    return vessel_map("corner", mask, robot_radius_um=100.0)
-
-
 @pytest.fixture
 def brief_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
     """End hopeless evaluation runs early: a policy that was barely trained may never arrive."""

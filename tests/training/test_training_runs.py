@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from mrnav_server.core.errors import ConfigError
-from mrnav_server.core.vessel import VesselMap
 from mrnav_server.training.checkpoint import load_checkpoint, save_checkpoint
 from mrnav_server.training.monitor import Board
 from mrnav_server.training.presets import Algorithm, adjust, find_preset, preset_from
@@ -22,17 +21,6 @@ QUICK = (
     *("steps=2048", "environments=16", "horizon=16", "max_steps=40", "critic_updates=1", "hidden=16"),
     *("cloning.labels=500", "cloning.updates=10", "cloning.batch=64"),
 )
-
-
-@pytest.fixture(scope="module")
-def chamber() -> VesselMap:
-    return vessel_map("chamber", np.full((60, 60), 255, np.uint8), robot_radius_um=100.0)
-
-
-@pytest.fixture
-def model(chamber: VesselMap, tmp_path: Path) -> Path:
-    save_vessel_model(tmp_path / "chamber", chamber, "chamber", "test")
-    return tmp_path / "chamber"
 
 
 def quick(model: Path, out: Path, algorithm: Algorithm = "ppo") -> TrainingResult:

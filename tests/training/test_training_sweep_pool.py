@@ -10,29 +10,21 @@ import time
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
 import psutil
-import pytest
 
 from mrnav_server.training.leaderboard import CSV_FILE, JSON_FILE
 from mrnav_server.training.sweep import Job, expand, parse_sweep, run_sweep
 from mrnav_server.training.sweep_job import read_error, read_result, run_job
 from mrnav_server.training.sweep_pool import run_on_processes
-from mrnav_server.vision.vessel_model import save_vessel_model, vessel_map
 
 QUICK = {"hidden": 8, "cloning.labels": 200, "cloning.updates": 20, "steps": 0}
 LIMIT_S = 60.0
 
 
-@pytest.fixture
-def chamber(tmp_path: Path) -> str:
-    mask = np.full((60, 60), 255, np.uint8)
-    save_vessel_model(tmp_path / "chamber", vessel_map("chamber", mask, robot_radius_um=100.0), "c", "test")
-    return str(tmp_path / "chamber")
-
-
-def jobs_of(chamber: str, count: int) -> list[Job]:
-    return expand(parse_sweep({"models": [chamber], "seeds": list(range(count)), "set": QUICK, "pairs": 1}))
+def jobs_of(model: Path, count: int) -> list[Job]:
+    return expand(
+        parse_sweep({"models": [str(model)], "seeds": list(range(count)), "set": QUICK, "pairs": 1})
+    )
 
 
 def kill(pid: int | None) -> None:
@@ -40,8 +32,8 @@ def kill(pid: int | None) -> None:
     os.kill(pid, signal.SIGKILL)
 
 
-def test_a_killed_worker_loses_nothing(chamber: str, tmp_path: Path) -> None:
-    jobs, out = jobs_of(chamber, 2), tmp_path / "out"
+def test_a_killed_worker_loses_nothing(model: Path, tmp_path: Path) -> None:
+    jobs, out = jobs_of(model, 2), tmp_path / "out"
     kinds: dict[Job, list[str]] = {job: [] for job in jobs}
     texts = []
     for event in run_sweep(jobs, out, lambda left, where: run_on_processes(left, where, workers=2)):
@@ -55,9 +47,9 @@ def test_a_killed_worker_loses_nothing(chamber: str, tmp_path: Path) -> None:
 
 
 def test_a_job_that_keeps_killing_its_worker_is_named_and_another_that_fails_too(
-    chamber: str, tmp_path: Path
+    model: Path, tmp_path: Path
 ) -> None:
-    good, killer, wrong = jobs_of(chamber, 3)
+    good, killer, wrong = jobs_of(model, 3)
     wrong = Job(wrong.model, "0" * 64, wrong.preset, wrong.algo, wrong.seed, wrong.settings, wrong.pairs)
     out = tmp_path / "out"
     counts = Counter[tuple[Job, str]]()
@@ -77,8 +69,8 @@ def test_a_job_that_keeps_killing_its_worker_is_named_and_another_that_fails_too
     assert "holds another mask" in (read_error(out / wrong.name) or "")
 
 
-def test_a_job_is_a_function_of_its_spec(chamber: str, tmp_path: Path) -> None:
-    (job,) = jobs_of(chamber, 1)
+def test_a_job_is_a_function_of_its_spec(model: Path, tmp_path: Path) -> None:
+    (job,) = jobs_of(model, 1)
     policies = []
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
@@ -109,9 +101,9 @@ def until_done(out: Path, count: int) -> None:
         time.sleep(0.02)
 
 
-def test_an_interrupted_sweep_goes_on(chamber: str, tmp_path: Path) -> None:
+def test_an_interrupted_sweep_goes_on(model: Path, tmp_path: Path) -> None:
     spec, out = tmp_path / "spec.json", tmp_path / "out"
-    spec.write_text(json.dumps({"models": [chamber], "seeds": [0, 1, 2], "set": QUICK, "pairs": 1}))
+    spec.write_text(json.dumps({"models": [str(model)], "seeds": [0, 1, 2], "set": QUICK, "pairs": 1}))
     first = start(spec, out)
     until_done(out, 1)
     workers = psutil.Process(first.pid).children(recursive=True)
@@ -143,11 +135,11 @@ def test_an_interrupted_sweep_goes_on(chamber: str, tmp_path: Path) -> None:
     assert (out / CSV_FILE).is_file()
 
 
-def test_a_failed_job_is_told_and_the_exit_code_says_so(chamber: str, tmp_path: Path) -> None:
+def test_a_failed_job_is_told_and_the_exit_code_says_so(model: Path, tmp_path: Path) -> None:
     spec, out, broken = tmp_path / "spec.json", tmp_path / "out", tmp_path / "broken"
-    shutil.copytree(chamber, broken)
+    shutil.copytree(model, broken)
     (broken / "mask.png").unlink()
-    spec.write_text(json.dumps({"models": [str(broken), chamber], "set": QUICK, "pairs": 1}))
+    spec.write_text(json.dumps({"models": [str(broken), str(model)], "set": QUICK, "pairs": 1}))
     run = start(spec, out)
     printed, told = run.communicate(timeout=LIMIT_S)
     assert run.returncode == 1
@@ -155,4 +147,4 @@ def test_a_failed_job_is_told_and_the_exit_code_says_so(chamber: str, tmp_path: 
     assert "mask.png is missing" in told
     answer = json.loads(printed.splitlines()[-1])
     assert (answer["done"], answer["failed"]) == (1, 1)
-    assert [row["model"] for row in answer["leaderboard"]] == [chamber]
+    assert [row["model"] for row in answer["leaderboard"]] == [str(model)]

@@ -12,11 +12,10 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import psutil
 import pytest
 
-from mrnav_server.vision.vessel_model import save_vessel_model, vessel_map
+from tests.vessels import saved_chamber
 
 pytestmark = [pytest.mark.ray, pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -72,10 +71,13 @@ def test_a_killed_worker_and_a_killed_node_lose_nothing(
     cluster: tuple[str, psutil.Process], tmp_path: Path
 ) -> None:
     address, second = cluster
-    mask = np.full((60, 60), 255, np.uint8)
-    save_vessel_model(tmp_path / "chamber", vessel_map("chamber", mask, robot_radius_um=100.0), "c", "test")
     spec, out = tmp_path / "spec.json", tmp_path / "out"
-    content = {"models": [str(tmp_path / "chamber")], "seeds": list(range(JOBS)), "set": SETTINGS, "pairs": 1}
+    content = {
+        "models": [str(saved_chamber(tmp_path))],
+        "seeds": list(range(JOBS)),
+        "set": SETTINGS,
+        "pairs": 1,
+    }
     spec.write_text(json.dumps(content))
     command = [sys.executable, "-m", "mrnav_server.cli.main", "sweep", str(spec)]
     sweep = subprocess.Popen(

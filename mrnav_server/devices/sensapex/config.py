@@ -5,6 +5,10 @@ from dataclasses import dataclass
 
 from mrnav_server.devices.sensapex.smcp1 import ALL_DEVICES, BASE_PORT
 
+_LINK_LOCAL = "169.254.255.255"
+"""Broadcast address of the network that controllers live in."""
+_LOOPBACK = "127.0.0.1"
+"""Where an emulated controller is."""
 _FIRST_DIRECT = 0x1000
 _FIRST_PREFIX = 114
 _IDS_PER_PREFIX = 0x2000
@@ -53,6 +57,11 @@ class SensapexConfig:
             raise ValueError("poll_hz must lie between 30 and 200 Hz")
         if not 100 <= self.silent_ms <= 500:
             raise ValueError("silent_ms must lie between 100 and 500 ms")
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """Where the controller is looked for, in this order; broadcast addresses too."""
+        return (self.address,) if self.address else (_LINK_LOCAL, _LOOPBACK)
 
     @property
     def port(self) -> int:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import ipaddress
 import secrets
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -21,10 +22,6 @@ from mrnav_server.devices.sensapex.smcp1 import (
     encode,
 )
 
-LINK_LOCAL = "169.254.255.255"
-"""Broadcast address of the network that controllers live in."""
-LOOPBACK = "127.0.0.1"
-"""Where an emulated controller is."""
 _FIRST_OWN_ID, _OWN_IDS = 0x2A0, 0x30
 """Among the ids of PCs, apart from those of the vendor's library (up to 0x29B) and of ``RawStop``."""
 _VERSION_NUMBERS = 5
@@ -54,6 +51,11 @@ class FoundController:
     def version(self) -> str:
         """The firmware's version as text."""
         return ".".join(map(str, self.firmware)) or "unknown"
+
+
+def is_emulated(address: str) -> bool:
+    """Tell whether a controller at this IPv4 address is an emulated one: it is on this computer."""
+    return ipaddress.IPv4Address(address).is_loopback
 
 
 def own_id() -> int:
@@ -99,13 +101,12 @@ async def find(settings: SensapexConfig, clock: Callable[[], float]) -> FoundCon
     Raises:
         DeviceError: If it does not answer, or has another number of axes, with the remedy.
     """
-    addresses = [settings.address] if settings.address else [LINK_LOCAL, LOOPBACK]
-    found = await discover(addresses, settings.port, clock, wanted_id=settings.device_id)
+    found = await discover(settings.addresses, settings.port, clock, wanted_id=settings.device_id)
     for controller in found:
         if controller.device_id == settings.device_id:
             _check(controller, settings)
             return controller
-    where = " or ".join(addresses)
+    where = " or ".join(settings.addresses)
     if found:
         there = ", ".join(str(controller.device_id) for controller in found)
         raise DeviceError(

@@ -4,14 +4,16 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable
+from functools import partial
 
 from mrnav_server.core.errors import DeviceError, DeviceTimeoutError
 from mrnav_server.core.frames import StagePoint
 from mrnav_server.core.records import MotionCommand, TipReading
 from mrnav_server.devices.sensapex.config import SensapexConfig
-from mrnav_server.devices.sensapex.discovery import find
+from mrnav_server.devices.sensapex.discovery import FoundController
 from mrnav_server.devices.sensapex.goto import goto
 from mrnav_server.devices.sensapex.loss import LossRate
+from mrnav_server.devices.sensapex.manipulator import Connect, SensapexManipulator
 from mrnav_server.devices.sensapex.raw_stop import RawStop
 from mrnav_server.devices.sensapex.sdk_library import SdkLibrary, as_sent
 from mrnav_server.devices.sensapex.sdk_worker import (
@@ -31,10 +33,11 @@ _FIRST_READING_S = 2.0
 _CLOSE_S = 0.5
 
 
-class SdkManipulator:
-    """The manipulator; use it from the event loop's thread. ``stop_path.send`` may be called from any.
+class SdkManipulator(SensapexManipulator["_Session"]):
+    """The manipulator, through the vendor's library.
 
     One thread calls the library: the newest move, and the position in between. STOP does not pass through it.
+    A move counts as sent when the thread got it.
 
     Args:
         config: Which manipulator.
@@ -48,81 +51,11 @@ class SdkManipulator:
         clock: Callable[[], float],
         load: Callable[[], Library] = SdkLibrary,
     ) -> None:
-        self.stop_path: RawStop | None = None
-        """The way of STOP, once the manipulator was opened."""
-        self._config = config
-        self._clock = clock
+        super().__init__(config, clock)
         self._load = load
-        self._session: _Session | None = None
 
-    async def open(self) -> None:
-        """Find the manipulator, check its axes and take a first reading; nothing moves.
-
-        Raises:
-            DeviceError: If the library is missing, or the manipulator does not answer, has other axes or lost
-                its calibration, with the remedy.
-        """
-        await self.close()
-        library = self._load()
-        found = await find(self._config, self._clock)
-        self.stop_path = RawStop(found.address, found.port, self._config.wire_id)
-        session = _Session(self._config, self._clock, library, found.address, self.stop_path)
-        try:
-            await session.start()
-        except BaseException:
-            await session.close()
-            self.stop_path.close()
-            self.stop_path = None
-            raise
-        self._session = session
-
-    async def close(self) -> None:
-        """Stop the manipulator and give library and sockets back."""
-        self.stop()
-        if self._session is not None:
-            await self._session.close()
-            self._session = None
-        if self.stop_path is not None:
-            self.stop_path.close()
-            self.stop_path = None
-
-    def tip(self) -> TipReading:
-        """Return the newest reading. Never waits.
-
-        Raises:
-            DeviceError: If the manipulator is silent, does not acknowledge moves, reports an error or lost
-                its calibration, or the library's thread has ended.
-        """
-        return self._require_open().tip(self._clock())
-
-    def move_to(self, target: StagePoint, speed_um_per_s: float, now_s: float) -> MotionCommand:
-        """Have an absolute target sent; it replaces the one that waits. Never waits.
-
-        Returns:
-            What goes out: the target as the library rounds it, the speed in whole µm/s; sent when the thread
-            got it.
-
-        Raises:
-            DeviceError: As ``tip``; or if target or speed are not finite or out of range.
-        """
-        return self._require_open().move_to(target, speed_um_per_s, self._clock())
-
-    def stop(self) -> None:
-        """Stop all axes now; nothing moves from then on until the next ``move_to``."""
-        # First, and without a lock: a move that the thread begins after the STOP must know that it is void.
-        if self._session is not None:
-            self._session.drop_moves()
-        if self.stop_path is not None:
-            self.stop_path.send()
-
-    def warnings(self) -> list[str]:
-        """Return what the operator should know, in plain sentences."""
-        return self._session.warnings(self._clock()) if self._session else []
-
-    def _require_open(self) -> "_Session":
-        if self._session is None:
-            raise DeviceError(f"manipulator {self._config.device_id} is not open: open it first")
-        return self._session
+    def _connect(self) -> "Connect[_Session]":
+        return partial(_Session, self._config, self._clock, self._load())
 
 
 class _Session:
@@ -133,7 +66,7 @@ class _Session:
         config: SensapexConfig,
         clock: Callable[[], float],
         library: Library,
-        address: str,
+        found: FoundController,
         stop_path: RawStop,
     ) -> None:
         self._config = config
@@ -143,7 +76,7 @@ class _Session:
         self._loss = LossRate()
         self._loop = asyncio.get_running_loop()
         self._first: asyncio.Future[None] = self._loop.create_future()
-        self._worker = SdkWorker(config, address, clock, library, stop_path, self._publish)
+        self._worker = SdkWorker(config, found.address, clock, library, stop_path, self._publish)
         self._unacknowledged_s: float | None = None
         self._stopped_s = -math.inf
         self._status = Status(0)

@@ -8,11 +8,11 @@ from mrnav_server.core.errors import DeviceError, DeviceTimeoutError
 from mrnav_server.core.frames import StagePoint
 from mrnav_server.core.records import MotionCommand, TipReading
 from mrnav_server.devices.sensapex.config import SensapexConfig
-from mrnav_server.devices.sensapex.discovery import FoundController, find, new_link
+from mrnav_server.devices.sensapex.discovery import FoundController, new_link
 from mrnav_server.devices.sensapex.endpoint import Endpoint
 from mrnav_server.devices.sensapex.goto import goto
 from mrnav_server.devices.sensapex.link import Heard
-from mrnav_server.devices.sensapex.raw_stop import RawStop
+from mrnav_server.devices.sensapex.manipulator import Connect, SensapexManipulator
 from mrnav_server.devices.sensapex.smcp1 import Kind, Option, Status
 from mrnav_server.devices.sensapex.tip_record import TipRecord
 
@@ -21,91 +21,20 @@ _FIRST_READING_S = 0.5
 _ROUND_TRIPS = 16
 
 
-class UdpManipulator:
-    """The manipulator; use it from the event loop's thread. ``stop_path.send`` may be called from any.
+class UdpManipulator(SensapexManipulator["_Session"]):
+    """The manipulator, over UDP.
 
     A move is on the wire before ``move_to`` returns. The position is asked for all the time; the reading in
     an answer is as old as its question, one that comes unasked as old as the longest round trip of late.
-
-    Args:
-        config: Which manipulator.
-        clock: Monotonic time in seconds.
     """
-
-    def __init__(self, config: SensapexConfig, clock: Callable[[], float]) -> None:
-        self.stop_path: RawStop | None = None
-        """The way of STOP, once the manipulator was opened."""
-        self._config = config
-        self._clock = clock
-        self._session: _Session | None = None
 
     @property
     def counters(self) -> dict[str, int]:
         """What was exchanged since the manipulator was opened, by name (see ``Link``)."""
         return dict(self._session.link.counters) if self._session else {}
 
-    async def open(self) -> None:
-        """Find the manipulator, check its axes and take a first reading; nothing moves.
-
-        Raises:
-            DeviceError: If it does not answer, has other axes or lost its calibration, with the remedy.
-        """
-        await self.close()
-        found = await find(self._config, self._clock)
-        session = _Session(self._config, self._clock, found)
-        try:
-            await session.start()
-        except BaseException:
-            session.close()
-            raise
-        self.stop_path = RawStop(found.address, found.port, self._config.wire_id)
-        self._session = session
-
-    async def close(self) -> None:
-        """Stop the manipulator and give its sockets back."""
-        self.stop()
-        if self._session is not None:
-            self._session.close()
-            self._session = None
-        if self.stop_path is not None:
-            self.stop_path.close()
-            self.stop_path = None
-
-    def tip(self) -> TipReading:
-        """Return the newest reading. Never waits.
-
-        Raises:
-            DeviceError: If the manipulator is silent, refuses or does not acknowledge moves, has started
-                anew, reports an error or lost its calibration.
-        """
-        return self._require_open().tip(self._clock())
-
-    def move_to(self, target: StagePoint, speed_um_per_s: float, now_s: float) -> MotionCommand:
-        """Send an absolute target at once; it replaces the one before.
-
-        Returns:
-            What was sent: the target in whole nm, the speed in whole µm/s.
-
-        Raises:
-            DeviceError: As ``tip``; or if target or speed are not finite or out of range.
-        """
-        return self._require_open().move_to(target, speed_um_per_s, self._clock())
-
-    def stop(self) -> None:
-        """Stop all axes now; nothing moves from then on until the next ``move_to``."""
-        if self.stop_path is not None:
-            self.stop_path.send()
-        if self._session is not None:
-            self._session.drop_moves()
-
-    def warnings(self) -> list[str]:
-        """Return what the operator should know, in plain sentences."""
-        return self._session.warnings(self._clock()) if self._session else []
-
-    def _require_open(self) -> "_Session":
-        if self._session is None:
-            raise DeviceError(f"manipulator {self._config.device_id} is not open: open it first")
-        return self._session
+    def _connect(self) -> "Connect[_Session]":
+        return lambda found, stop_path: _Session(self._config, self._clock, found)
 
 
 class _Session:
@@ -139,7 +68,7 @@ class _Session:
             ) from None
         self._record.reading(self._clock())
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """End the exchange."""
         if self._timer is not None:
             self._timer.cancel()
