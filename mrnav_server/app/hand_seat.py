@@ -45,6 +45,7 @@ class HandSeat:
         self._clock = clock
         self._on_message = on_message
         self._last: tuple[str, str] | None = None
+        self._trouble = ""
 
     def acquire(self, session: str, hello: Hello) -> bool:
         """Make a session the hand; tell whether it is."""
@@ -70,7 +71,19 @@ class HandSeat:
                 "new_pose": sample.new_pose,
             },
         )
+        self._tell_trouble(sample.received_s)
         self._step(sample.received_s)
+
+    def choose_scale(self, session: str, scale: str) -> None:
+        """Choose the scale for the holder.
+
+        Raises:
+            RefusedError: For anybody else, another scale, or a closed clutch.
+        """
+        if not self._lease.is_hand(session):
+            raise RefusedError("not_the_hand", "another hand controls the rig: it chooses the scale")
+        self._hand.choose_scale(scale)
+        self._announce("hand", {"scale": self._hand.scale, "gain": self._hand.gain})
 
     def on_bad_numbers(self, session: str) -> None:
         """Hold: the holder keeps sending numbers that measure nothing."""
@@ -101,6 +114,15 @@ class HandSeat:
     def _returns(self, session: str) -> bool:
         """Let a link whose seat was freed by its silence sit down again, unless somebody else did."""
         return self._last is not None and self._last[0] == session and self._sit(*self._last)
+
+    def _tell_trouble(self, now_s: float) -> None:
+        """Tell once what is wrong with the hand, and hold if it keeps jumping."""
+        if self._hand.take_jumping():
+            self._hold()
+        trouble = self._hand.trouble(now_s)
+        if trouble and trouble != self._trouble:
+            self._announce("fault", {"reason": trouble})
+        self._trouble = trouble
 
     def _tell_lease(self) -> None:
         self._announce("lease", {"epoch": self._lease.epoch, "client": self._lease.state().client})

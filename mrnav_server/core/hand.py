@@ -1,15 +1,30 @@
-"""From the operator's fingertip to a reference for the tip: clutch, re-zero, gain, bounds, smoothing.
+"""From the operator's fingertip to a reference for the tip: clutch, re-zero, scale, bounds, smoothing.
 
 The hand arrives as a cumulative pose, so loss, duplication and reordering cannot drift. The server forms
 the increments: P_s(t) = P_s(t−1) + τ·(P_m(t) − P_m(t−1)).
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass
+from typing import Literal, get_args
 
-from mrnav_server.core.frames import HandPoint, StagePoint
+from mrnav_server.core.errors import RefusedError
+from mrnav_server.core.frames import StagePoint
+from mrnav_server.core.hand_path import HandPath, PathBounds
 from mrnav_server.core.hand_stream import HandSample
+from mrnav_server.core.peer_limits import Strikes
 from mrnav_server.core.shaping import Reference
+from mrnav_server.core.tremor import TremorFilter
+
+Scale = Literal["coarse", "fine"]
+
+OUT_OF_VIEW = "the headset does not see the hand: bring it into view, then close the clutch anew"
+JUMPED = "the hand's position jumped: the jump was left out, and the hand is followed from where it is now"
+JUMPS = "the hand's position keeps jumping: check the headset's view of the hand, then close the clutch anew"
+_SLICE_S = 0.005
+_TOLD_S = 2.0
+"""So long the operator reads what went wrong with the hand."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,10 +32,13 @@ class HandConfig:
     """How the hand moves the tip.
 
     Attributes:
-        gain: τ, tip motion per hand motion, without unit.
-        vertical_gain: The same for the hand's up and down; 0 keeps the working height.
-        dead_band_um: Hand motion below this between two poses is not motion.
-        smoothing_hz: Corner of the second-order low-pass on the reference (delay 1/(π·corner) s).
+        gain: τ, tip motion per hand motion, at the coarse scale, without unit (above 0, at most 1).
+        fine_gain: τ at the fine scale (above 0, at most 1).
+        vertical_gain: The same for the hand's up and down at the coarse scale; 0 keeps the working height.
+        dead_band_um: Play of the hand before it moves anything, 0 to 500 µm of the hand.
+        tremor_hz: Centre of the band, from 0.8 to 1.2 of it, that is kept from the tip, 6 to 20 Hz. The delay
+            is inversely proportional to it.
+        jump_m_per_s: A hand that is faster between two poses has jumped, 0.2 to 10 m/s.
         quiet_s: Silence after which the reference stands still.
         hold_s: Silence after which the hand counts as lost, 0.05 to 0.2 s.
     """
@@ -28,17 +46,26 @@ class HandConfig:
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
 
     gain: float = 0.04
+    fine_gain: float = 0.01
     vertical_gain: float = 0.0
-    dead_band_um: float = 50.0
-    smoothing_hz: float = 9.0
+    dead_band_um: float = 20.0
+    tremor_hz: float = 10.0
+    jump_m_per_s: float = 2.0
     quiet_s: float = 0.04
     hold_s: float = 0.1
 
     def __post_init__(self) -> None:
-        if not 0.05 <= self.hold_s <= 0.2:
-            raise ValueError("hold_s must lie between 0.05 and 0.2 s")
-        if not 0.0 < self.gain <= 1.0:
-            raise ValueError("gain must lie above 0 and be at most 1")
+        for name, low, high, unit in (
+            ("hold_s", 0.05, 0.2, "s"),
+            ("dead_band_um", 0.0, 500.0, "µm"),
+            ("tremor_hz", 6.0, 20.0, "Hz"),
+            ("jump_m_per_s", 0.2, 10.0, "m/s"),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must lie between {low:g} and {high:g} {unit}")
+        for name in ("gain", "fine_gain"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must lie above 0 and be at most 1")
 
 
 class HandControl:
@@ -56,17 +83,20 @@ class HandControl:
     def __init__(self, config: HandConfig, speed_um_per_s: float) -> None:
         self._config = config
         self._speed_um_per_s = speed_um_per_s
+        self.counters = Counter(hand_jumps=0, hand_out_of_view=0, hand_not_finite=0)
+        self._scale: Scale = "coarse"
         self._received_s = -math.inf
         self._clutch = False
         self._closing = self._closing_anew = False
         self._seen_open = False
         self._engaged = False
-        self._pose: HandPoint | None = None
-        self._pose_s = 0.0
+        self._path = HandPath(PathBounds(config.dead_band_um, config.jump_m_per_s, speed_um_per_s))
+        self._jumps = Strikes()
+        self._jumping = False
+        self._trouble = ""
+        self._trouble_s = -math.inf
         self._base = StagePoint(0.0, 0.0, 0.0)
-        self._goal_um = [0.0, 0.0, 0.0]
-        self._smooth_um = [0.0, 0.0, 0.0]
-        self._smooth_um_per_s = [0.0, 0.0, 0.0]
+        self._smooth = TremorFilter(config.tremor_hz)
         self._smoothed_s = 0.0
 
     @property
@@ -78,6 +108,42 @@ class HandControl:
     def engaged(self) -> bool:
         """Whether the hand moves the tip."""
         return self._engaged
+
+    @property
+    def scale(self) -> Scale:
+        """Which scale is in force."""
+        return self._scale
+
+    @property
+    def gain(self) -> float:
+        """τ of the scale in force."""
+        return self._config.gain if self._scale == "coarse" else self._config.fine_gain
+
+    def choose_scale(self, scale: str) -> None:
+        """Choose how far the tip goes for the hand's motion.
+
+        Args:
+            scale: "coarse" or "fine".
+
+        Raises:
+            RefusedError: For another scale, or while the clutch is closed.
+        """
+        if scale not in get_args(Scale):
+            raise RefusedError("no_such_scale", "scale must be coarse or fine")
+        if self._clutch:
+            raise RefusedError(
+                "clutch_closed", "the clutch is closed: open it, then choose the scale, then close it again"
+            )
+        self._scale = "fine" if scale == "fine" else "coarse"
+
+    def trouble(self, now_s: float) -> str:
+        """Return what is or was just wrong with the hand, in plain words, or ""."""
+        return self._trouble if now_s - self._trouble_s <= _TOLD_S else ""
+
+    def take_jumping(self) -> bool:
+        """Return whether the hand has jumped three times within a second, and forget it."""
+        jumping, self._jumping = self._jumping, False
+        return jumping
 
     def fresh(self, now_s: float) -> bool:
         """Tell whether a valid sample arrived within ``hold_s``."""
@@ -96,9 +162,18 @@ class HandControl:
 
     def on_sample(self, sample: HandSample) -> None:
         """Take one accepted hand message; one that sees no hand is silence and opens the clutch."""
+        point = sample.point
+        if not all(map(math.isfinite, (point.x_m, point.y_m, point.z_m, sample.sender_t_s))):
+            self.counters["hand_not_finite"] += 1
+            return
         if not sample.valid:
+            self.counters["hand_out_of_view"] += self._clutch
+            self._tell(OUT_OF_VIEW, sample.received_s)
             self._open_clutch()
             return
+        # What the hand did until now happened before this message.
+        self._advance(sample.received_s)
+        self._smoothed_s = max(self._smoothed_s, sample.received_s)
         self._received_s = sample.received_s
         if sample.clutch:
             self._closing |= not self._clutch
@@ -106,19 +181,15 @@ class HandControl:
         else:
             self._open_clutch()
         self._clutch, self._seen_open = sample.clutch, not sample.clutch
-        if not sample.new_pose:
-            return
-        if self._engaged and self._pose is not None:
-            self._add_increment(self._pose, sample.point, sample.sender_t_s - self._pose_s)
-        self._pose, self._pose_s = sample.point, sample.sender_t_s
+        if sample.new_pose:
+            self._on_pose(sample)
 
     def engage(self, base: StagePoint, now_s: float) -> None:
         """Start following from ``base``: the hand's pose of this moment becomes zero."""
         self._engaged = True
         self._base = base
-        self._goal_um = [0.0, 0.0, 0.0]
-        self._smooth_um = [0.0, 0.0, 0.0]
-        self._smooth_um_per_s = [0.0, 0.0, 0.0]
+        self._path.zero()
+        self._smooth = TremorFilter(self._config.tremor_hz)
         self._smoothed_s = now_s
 
     def release(self) -> None:
@@ -130,52 +201,45 @@ class HandControl:
         self._open_clutch()
         self._seen_open = False
         self._received_s = -math.inf
-        self._pose = None
+        self._path.forget()
 
     def reference(self, now_s: float) -> Reference | None:
         """Return where the hand wants the tip; None while it does not move it."""
         if not self._engaged:
             return None
-        if now_s - self._received_s > self._config.quiet_s:
-            self._goal_um = list(self._smooth_um)
-        self._smooth(now_s)
-        base, offset, velocity = self._base, self._smooth_um, self._smooth_um_per_s
+        self._advance(now_s)
+        base, offset = self._base, self._smooth.position_um
+        quiet = now_s - self._received_s > self._config.quiet_s
         return Reference(
             StagePoint(base.x_um + offset[0], base.y_um + offset[1], base.z_um + offset[2]),
-            (velocity[0], velocity[1], velocity[2]),
+            (0.0, 0.0, 0.0) if quiet else self._smooth.velocity_um_per_s,
             self._speed_um_per_s,
         )
 
     def _open_clutch(self) -> None:
         self._clutch = self._closing = self._closing_anew = self._engaged = False
 
-    def _add_increment(self, before: HandPoint, after: HandPoint, elapsed_s: float) -> None:
-        hand_um = tuple(1e6 * (b - a) for a, b in zip(_xyz(before), _xyz(after), strict=True))
-        if math.hypot(*hand_um) < self._config.dead_band_um:
+    def _on_pose(self, sample: HandSample) -> None:
+        pose = (sample.point, sample.sender_t_s, sample.received_s)
+        if not self._engaged:
+            self._path.note(*pose)
             return
-        gain, vertical = self._config.gain, self._config.vertical_gain
-        # The operator looks down on the picture: hand right is stage x, towards the body is stage y.
-        step_um = (gain * hand_um[0], gain * hand_um[2], vertical * hand_um[1])
-        length_um = math.hypot(*step_um)
-        most_um = self._speed_um_per_s * min(max(elapsed_s, 0.0), 0.1)
-        scale = min(1.0, most_um / length_um) if length_um > 0 else 0.0
-        for axis in range(3):
-            self._goal_um[axis] += scale * step_um[axis]
-
-    def _smooth(self, now_s: float) -> None:
-        """Advance the critically damped low-pass, exactly for a constant goal."""
-        dt_s = now_s - self._smoothed_s
-        if dt_s <= 0:
+        vertical = self._config.vertical_gain * self.gain / self._config.gain
+        if not self._path.follow(*pose, (self.gain, vertical, self.gain)):
             return
-        self._smoothed_s = now_s
-        w = 2 * math.pi * self._config.smoothing_hz
-        decay = math.exp(-w * dt_s)
-        for axis in range(3):
-            gap = self._smooth_um[axis] - self._goal_um[axis]
-            rate = self._smooth_um_per_s[axis] + w * gap
-            self._smooth_um[axis] = self._goal_um[axis] + (gap + rate * dt_s) * decay
-            self._smooth_um_per_s[axis] = (self._smooth_um_per_s[axis] - w * rate * dt_s) * decay
+        self.counters["hand_jumps"] += 1
+        self._jumping = self._jumps.strike(sample.received_s)
+        self._tell(JUMPS if self._jumping else JUMPED, sample.received_s)
+        if self._jumping:
+            self._engaged = False
 
+    def _tell(self, words: str, now_s: float) -> None:
+        self._trouble, self._trouble_s = words, now_s
 
-def _xyz(point: HandPoint) -> tuple[float, float, float]:
-    return (point.x_m, point.y_m, point.z_m)
+    def _advance(self, now_s: float) -> None:
+        """Smooth up to a moment, or up to where a silent hand was last believed to move."""
+        until_s = min(now_s, self._received_s + self._config.quiet_s)
+        while self._engaged and until_s - self._smoothed_s > 1e-9:
+            step_s = min(until_s - self._smoothed_s, _SLICE_S)
+            self._smooth.advance(self._path.slide(step_s), step_s)
+            self._smoothed_s += step_s

@@ -105,6 +105,13 @@ class Ping:
     t_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class ScaleChoice:
+    """Asks for "coarse" or "fine" motion; ``scale`` is as the client wrote it."""
+
+    scale: str
+
+
 def parse_hello(line: bytes) -> Hello:
     """Read a client's first line.
 
@@ -138,7 +145,7 @@ def parse_hello(line: bytes) -> Hello:
     return hello
 
 
-def parse_message(line: bytes, frame: ClientFrame) -> HandMessage | Increment | Ping:
+def parse_message(line: bytes, frame: ClientFrame) -> HandMessage | Increment | Ping | ScaleChoice:
     """Read a line that follows the hello.
 
     Args:
@@ -150,7 +157,7 @@ def parse_message(line: bytes, frame: ClientFrame) -> HandMessage | Increment | 
         WireError: If anything else is wrong: the peer breaks the protocol.
     """
     fields = Fields(line)
-    message: HandMessage | Increment | Ping
+    message: HandMessage | Increment | Ping | ScaleChoice
     kind = fields.text("type")
     match kind:
         case "hand":
@@ -172,8 +179,10 @@ def parse_message(line: bytes, frame: ClientFrame) -> HandMessage | Increment | 
             )
         case "ping":
             message = Ping(_clock_s(fields))
+        case "scale":
+            message = ScaleChoice(fields.text("scale"))
         case _:
-            raise WireError("bad_message", "type must be hand, increment or ping")
+            raise WireError("bad_message", "type must be hand, increment, ping or scale")
     fields.finish()
     return message
 
@@ -202,6 +211,11 @@ def error_line(code: str, message: str) -> bytes:
 def pong_line(t_s: float, t_server_s: float) -> bytes:
     """Return the answer to a ping; both times in seconds, each on its own clock."""
     return encode_line({"type": "pong", "t": t_s, "t_server": t_server_s})
+
+
+def scale_line(scale: str, refusal: str) -> bytes:
+    """Return the answer to a choice of scale: which one was asked for, and why not if it was refused."""
+    return encode_line({"type": "scale", "scale": scale, "ok": not refusal, "message": refusal})
 
 
 def _clock_s(fields: Fields) -> float:

@@ -14,17 +14,19 @@ from typing import cast
 
 import orjson
 
-from mrnav_server.core.errors import ConfigError, WireError
+from mrnav_server.core.errors import ConfigError, RefusedError, WireError
 from mrnav_server.core.hand_stream import HandSample, HandStream
 from mrnav_server.core.peer_limits import Strikes, TokenBucket
 from mrnav_server.core.wire import MAX_LINE_BYTES, NumberError
 from mrnav_server.core.wire_hand import (
     Hello,
     Ping,
+    ScaleChoice,
     error_line,
     parse_hello,
     parse_message,
     pong_line,
+    scale_line,
     welcome_line,
 )
 
@@ -83,6 +85,7 @@ class HandLinkServer:
         on_bad_numbers: Told the session when three messages within 1 s had numbers that measure nothing.
         limits: The motion limits, for the welcome; units in the names.
         transform: How the server maps the hand, for the welcome.
+        choose_scale: Told the session and the scale that it wants; raises RefusedError. None: one scale only.
     """
 
     def __init__(
@@ -98,6 +101,7 @@ class HandLinkServer:
         on_bad_numbers: Callable[[str], None],
         limits: Mapping[str, float],
         transform: Mapping[str, object],
+        choose_scale: Callable[[str, str], None] | None = None,
     ) -> None:
         self.config = config
         self.authorize = authorize
@@ -109,6 +113,7 @@ class HandLinkServer:
         self.on_bad_numbers = on_bad_numbers
         self.limits = limits
         self.transform = transform
+        self.choose_scale = choose_scale
         self.counters: Counter[str] = Counter()
         self.peers: set[_Peer] = set()
         self._port = config.port
@@ -262,9 +267,23 @@ class _Peer(asyncio.Protocol):
             return
         if not self._operator:
             raise WireError("forbidden", "a viewer sends no hand messages")
+        if isinstance(message, ScaleChoice):
+            self._choose(message.scale)
+            return
         sample = self._stream.take(message, now_s)
         if sample is not None:
             self._server.on_sample(sample)
+
+    def _choose(self, scale: str) -> None:
+        choose, refusal = self._server.choose_scale, ""
+        try:
+            if choose is None:
+                raise RefusedError("one_scale", "this server has one scale only")
+            choose(self._session, scale)
+        except RefusedError as refused:
+            refusal = str(refused)
+        if self._has_room():
+            self._transport.write(scale_line(scale, refusal))
 
     def _send_twin(self) -> None:
         if self._hello is None or self._transport.is_closing():

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from mrnav_server.core.errors import ConfigError
+from mrnav_server.core.errors import ConfigError, RefusedError
 from mrnav_server.core.frames import HandPoint
 from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.wire_hand import Hello
@@ -445,3 +445,18 @@ def test_settings_out_of_range_are_refused() -> None:
     for name, value in (("port", 70_000), ("hello_timeout_s", 0.0), ("max_peers", 0), ("lines_per_s", 10.0)):
         with pytest.raises(ValueError, match=name):
             HandLinkConfig(**{name: value})  # type: ignore[arg-type]
+
+
+async def test_a_choice_of_scale_is_answered_and_a_refusal_keeps_the_connection() -> None:
+    def choose(session: str, scale: str) -> None:
+        if scale != "fine":
+            raise RefusedError("clutch_closed", "open the clutch first")
+
+    async with running() as rig, connected(rig) as client:
+        rig.server.choose_scale = choose
+        await client.hello()
+        client.send({"type": "scale", "scale": "fine"}, {"type": "scale", "scale": "coarse"})
+        assert await client.read() == {"type": "scale", "scale": "fine", "ok": True, "message": ""}
+        refused = {"type": "scale", "scale": "coarse", "ok": False, "message": "open the clutch first"}
+        assert await client.read() == refused
+        await client.synchronise()
