@@ -15,7 +15,7 @@ PIP := $(PY) -m pip --disable-pip-version-check install --quiet $(PIP_FLAGS)
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 
-.PHONY: help run demo test check check-static test-slow explore test-ray faults bench clean
+.PHONY: help run demo test check check-static test-slow explore test-ray faults bench diagram clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1|\2/' | column -t -s '|'
@@ -57,6 +57,9 @@ faults: $(VENV)/.installed-test ## Inject faults into real processes, and measur
 
 bench: $(VENV)/.installed-test ## Measure every published figure again
 	$(BIN)/mrnav bench
+
+diagram: $(VENV)/.installed ## Draw the diagram of the modes anew
+	$(PY) docs/draw_modes.py
 
 clean: ## Remove everything that was built here
 	rm -rf $(VENV) static/node_modules static/vendor .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -15,7 +15,9 @@ from mrnav_server.settings import ServerConfig
 COOKIE = "mrnav_token"
 SESSION_HEADER = "X-MRNAV-Session"
 OPERATORS_ONLY = "this needs the operator's token; yours lets you watch, and stop"
+CHIEFS_ONLY = "taking control from another operator needs the chief's token"
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_MAX_SESSIONS = 10_000
 _SAFE_METHODS = {"GET", "HEAD", "OPTIONS"}
 _DEFAULT_PORTS = {"http": 80, "https": 443}
 
@@ -27,6 +29,8 @@ class Role(IntEnum):
     """Watch, and stop."""
     OPERATOR = 2
     """Control the rig."""
+    CHIEF = 3
+    """Take control from another operator."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +47,7 @@ class Principal:
 
 
 class Tokens:
-    """Recognises the two tokens; keeps their hashes alone.
+    """Recognises the tokens; keeps their hashes alone.
 
     Args:
         config: Its tokens must be set (``Settings.with_tokens``).
@@ -56,6 +60,8 @@ class Tokens:
             Role.OPERATOR: _hash(config.operator_token),
             Role.VIEWER: _hash(config.viewer_token),
         }
+        if config.chief_token is not None:
+            self._hashes[Role.CHIEF] = _hash(config.chief_token)
 
     def role(self, token: str) -> Role | None:
         """Return what a token allows, None if it is unknown; takes the same time for any wrong one."""
@@ -74,6 +80,7 @@ class Gate:
     def __init__(self, config: ServerConfig) -> None:
         self.tokens = Tokens(config)
         self._origins = frozenset(config.origins)
+        self._owners = {role.name.lower(): role for role in Role}
 
     def admit(self, connection: HTTPConnection) -> Principal:
         """Return who sent a request.
@@ -94,7 +101,20 @@ class Gate:
         session = connection.headers.get(SESSION_HEADER, role.name.lower())
         if not _SESSION.fullmatch(session):
             raise ApiError(400, "bad_session", f"{SESSION_HEADER} is 1 to 64 letters, digits, - or _")
-        return Principal(role, session)
+        return Principal(role, self._owned(session, role))
+
+    def _owned(self, session: str, role: Role) -> str:
+        """Return the session if no other role uses it, else the role's own.
+
+        Everybody who watches can read who holds the lease: the name alone must not be enough to act for it.
+        What comes under another's name is not refused, for it may be a STOP.
+        """
+        if role is Role.VIEWER:
+            return session
+        if len(self._owners) > _MAX_SESSIONS:
+            self._owners = {known.name.lower(): known for known in Role}
+        owner = self._owners.setdefault(session, role)
+        return session if owner is role else role.name.lower()
 
     def _require_own_page(self, connection: HTTPConnection, from_cookie: bool) -> None:
         """Refuse other pages: a browser sends its cookie along with whatever a foreign page asks for."""

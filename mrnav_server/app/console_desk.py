@@ -1,15 +1,20 @@
 """What consoles ask for: modes, control, and STOP."""
 
+import asyncio
 from collections.abc import Callable
 
 from mrnav_server.app.herald import Herald
 from mrnav_server.app.navigator import Navigator
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import RefusedError
+from mrnav_server.core.hand import HandControl
 from mrnav_server.core.lease import Lease
 from mrnav_server.core.modes import ARMED, Ask
 from mrnav_server.devices.base import Manipulator
 from mrnav_server.loops.control import ControlLoop
+
+_REST_S = 2.0
+_LOOK_S = 0.005
 
 
 class ConsoleDesk:
@@ -18,6 +23,7 @@ class ConsoleDesk:
     Args:
         control: Grants or refuses modes.
         lease: Who controls the rig.
+        hand: Its scale is chosen here.
         areas: Where AUTO may be asked to go.
         navigator: Plans the way there.
         manipulator: Stopped at once when anybody asks for it.
@@ -31,6 +37,7 @@ class ConsoleDesk:
         self,
         control: ControlLoop,
         lease: Lease,
+        hand: HandControl,
         areas: CriticalAreas,
         navigator: Navigator,
         manipulator: Manipulator,
@@ -41,6 +48,7 @@ class ConsoleDesk:
     ) -> None:
         self._control = control
         self._lease = lease
+        self._hand = hand
         self._areas = areas
         self._navigator = navigator
         self._manipulator = manipulator
@@ -48,6 +56,7 @@ class ConsoleDesk:
         self._step = step
         self._publish = publish
         self._clock = clock
+        lease.on_silent = lambda client: self._announce_lease(f"{client} fell silent: its seat is free")
 
     async def ask(self, name: str, session: str, area: str | None) -> None:
         """Ask for a mode.
@@ -67,6 +76,17 @@ class ConsoleDesk:
         self._control.submit(ask, self._clock())
         self._publish()
 
+    def choose_scale(self, session: str, scale: str) -> None:
+        """Choose the hand's scale, "coarse" or "fine".
+
+        Raises:
+            RefusedError: Without the lease, for another scale, or while the clutch is closed.
+        """
+        self.require_lease(session)
+        self._hand.choose_scale(scale)
+        self._herald.announce("hand", {"scale": self._hand.scale, "gain": self._hand.gain})
+        self._publish()
+
     def stop_now(self, session: str) -> None:
         """Stop the manipulator at once; anyone may, and nothing is waited for."""
         self._manipulator.stop()
@@ -82,6 +102,38 @@ class ConsoleDesk:
         """
         self._lease.take_console(session, client, self._clock())
         self._announce_lease()
+
+    async def take_over(self, session: str, client: str) -> None:
+        """Take control from whoever has it: the rig holds, comes to rest, and only then the seats change.
+
+        Raises:
+            RefusedError: If the rig does not come to rest, or somebody else takes over already.
+        """
+        if self._lease.holds(session) and self._lease.state().console == session:
+            self.take_lease(session, client)
+            return
+        before = self._lease.state().client
+        self._lease.claim()
+        began_s = self._clock()
+        try:
+            self._announce_lease(f"{client} takes control over: the magnet comes to rest first")
+            self._step()
+            while not self._control.facts.at_rest:
+                if self._clock() - began_s > _REST_S:
+                    raise RefusedError(
+                        "in_motion", "the magnet does not come to rest: press STOP, then try again"
+                    )
+                await asyncio.sleep(_LOOK_S)
+        except BaseException:
+            self._lease.withdraw()
+            self._announce_lease(f"{client} did not take control over")
+            raise
+        self._lease.displace(session, client, self._clock())
+        self._step()
+        self._announce_lease(
+            f"{client} took control over from {before}" if before else f"{client} has control"
+        )
+        self._publish()
 
     def give_lease(self, session: str) -> None:
         """Give control back; the rig holds before anybody else may take it."""
@@ -127,5 +179,6 @@ class ConsoleDesk:
         if path.fallback:
             self._herald.announce("fault", {"reason": f"the geodesic stands in: {path.fallback}"})
 
-    def _announce_lease(self) -> None:
-        self._herald.announce("lease", {"epoch": self._lease.epoch, "client": self._lease.state().client})
+    def _announce_lease(self, reason: str = "") -> None:
+        state = self._lease.state()
+        self._herald.announce("lease", {"epoch": state.epoch, "client": state.client, "reason": reason})

@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from mrnav_server.app.auth import OPERATORS_ONLY, Gate, Principal, Role
+from mrnav_server.app.auth import CHIEFS_ONLY, OPERATORS_ONLY, Gate, Principal, Role
 from mrnav_server.app.problems import ApiError
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.twin import TwinHub
@@ -53,6 +53,17 @@ def operator(principal: Annotated[Principal, Depends(viewer)]) -> Principal:
     """
     if principal.role < Role.OPERATOR:
         raise ApiError(403, "forbidden", OPERATORS_ONLY)
+    return principal
+
+
+def chief(principal: Principal) -> Principal:
+    """Admit chiefs.
+
+    Raises:
+        ApiError: 403 for everybody else.
+    """
+    if principal.role < Role.CHIEF:
+        raise ApiError(403, "forbidden", CHIEFS_ONLY)
     return principal
 
 

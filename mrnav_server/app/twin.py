@@ -108,7 +108,8 @@ class _Client:
         self._asks: asyncio.Queue[AskMessage] = asyncio.Queue(_MAX_WAITING_ASKS)
 
     def snapshot(self) -> dict[str, Any]:
-        return self._rig.snapshot(self._session, self._role.name.lower())
+        # Pages know two roles; what a chief may do besides is asked for over REST.
+        return self._rig.snapshot(self._session, min(self._role, Role.OPERATOR).name.lower())
 
     async def send(self, text: str) -> None:
         async with asyncio.timeout(SLOW_READER_S):

@@ -4,6 +4,7 @@ The console (a dashboard page) and the hand (a headset) may sit down in either o
 being heard. Time is passed in.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from mrnav_server.core.errors import RefusedError
@@ -29,6 +30,10 @@ class Lease:
         self._console: _Seat | None = None
         self._hand: _Seat | None = None
         self._epoch = 0
+        self._claimed = False
+        self._displaced: set[str] = set()
+        self.on_silent: Callable[[str], None] = lambda _: None
+        """Told whose seat was freed by silence, by the name that people know."""
 
     @property
     def epoch(self) -> int:
@@ -37,8 +42,8 @@ class Lease:
 
     @property
     def held(self) -> bool:
-        """Whether anybody controls the rig."""
-        return self._console is not None or self._hand is not None
+        """Whether anybody controls the rig; nobody does while somebody claims it."""
+        return not self._claimed and (self._console is not None or self._hand is not None)
 
     def holds(self, session: str) -> bool:
         """Tell whether a session has a seat."""
@@ -60,8 +65,10 @@ class Lease:
         """Become the rig's hand, or keep the seat.
 
         Raises:
-            RefusedError: If another hand has it.
+            RefusedError: If another hand has it, or somebody took it from this one.
         """
+        if session in self._displaced:
+            raise RefusedError("displaced", "control was taken over: connect anew")
         self._hand = self._taken(self._hand, session, client, now_s)
 
     def hear(self, session: str, now_s: float) -> None:
@@ -83,16 +90,40 @@ class Lease:
             self._hand = None
             self._epoch += 1
 
+    def claim(self) -> None:
+        """Suspend control: the rig holds, and the seats stay as they are until it rests.
+
+        Raises:
+            RefusedError: If somebody claims it already.
+        """
+        if self._claimed:
+            raise RefusedError("busy", "somebody takes control over already: wait")
+        self._claimed = True
+
+    def withdraw(self) -> None:
+        """Give up a claim: whoever has the seats is in control again."""
+        self._claimed = False
+
+    def displace(self, session: str, client: str, now_s: float) -> None:
+        """Make good a claim: both seats are freed, and the claimant sits down at the console.
+
+        A hand that loses its seat so does not sit down again before it says hello anew.
+        """
+        self._claimed = False
+        for seat in (self._console, self._hand):
+            if seat is not None and seat.session != session:
+                self._displaced.add(seat.session)
+                self.give_back(seat.session)
+        self.take_console(session, client, now_s)
+
     def expire(self, now_s: float) -> list[str]:
         """Free the seats that were silent too long; return their sessions."""
-        silent = [
-            seat.session
-            for seat in (self._console, self._hand)
-            if seat is not None and now_s - seat.heard_s > self._ttl_s
-        ]
-        for session in silent:
-            self.give_back(session)
-        return silent
+        seats = (self._console, self._hand)
+        silent = [seat for seat in seats if seat is not None and now_s - seat.heard_s > self._ttl_s]
+        for seat in silent:
+            self.give_back(seat.session)
+            self.on_silent(seat.client)
+        return [seat.session for seat in silent]
 
     def state(self) -> LeaseState:
         """Return the lease for clients."""

@@ -63,6 +63,9 @@ _MAY_ASK: dict[Ask, frozenset[Mode]] = {
 }
 
 
+_GO_ON = "close the clutch anew or ask for AUTO to go on"
+
+
 @dataclass(frozen=True, slots=True)
 class Facts:
     """What is true at one control step.
@@ -77,6 +80,7 @@ class Facts:
         arm_refusal: Why the rig must not be armed, else "".
         auto_refusal: Which guard of AUTO is not satisfied, else "".
         warning: What the operator should know, else "".
+        hand_drives: The holder's clutch is closed and the hand moves the magnet.
     """
 
     leased: bool
@@ -88,6 +92,7 @@ class Facts:
     arm_refusal: str = ""
     auto_refusal: str = ""
     warning: str = ""
+    hand_drives: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,9 +141,12 @@ class ModeMachine:
             )
         if ask in (Ask.ARM, Ask.MANUAL, Ask.AUTO, Ask.RESET) and not facts.leased:
             raise RefusedError("no_lease", "nobody controls the rig: take the lease first")
+        driving = self._mode is Mode.MANUAL and facts.hand_drives
         refusals = {
             Ask.ARM: facts.fault or facts.arm_refusal,
-            Ask.AUTO: facts.fault or facts.auto_refusal,
+            Ask.AUTO: facts.fault
+            or ("your hand drives: open the clutch first" if driving else "")
+            or facts.auto_refusal,
             Ask.RESET: facts.fault,
             Ask.MANUAL: "" if facts.hand_fresh else "no hand is heard: start the hand link",
         }
@@ -162,7 +170,7 @@ class ModeMachine:
             self._enter(Mode.STOP, "STOP was pressed: reset when it is safe to go on", changes)
             return changes
         if facts.fault and self._mode not in LATCHED:
-            self._enter(Mode.FAULT, facts.fault, changes)
+            self._enter(Mode.FAULT, f"{facts.fault}; reset once the cause is gone", changes)
             return changes
         for ask in asks:
             try:
@@ -175,10 +183,12 @@ class ModeMachine:
 
     def _grant(self, ask: Ask, facts: Facts, changes: list[Transition]) -> None:
         if ask is Ask.ARM:
-            after, reason = (
-                (Mode.MANUAL, "") if facts.hand_fresh else (Mode.HOLD, "armed: no hand is heard yet")
-            )
-            self._enter(after, reason, changes)
+            if facts.hand_fresh:
+                self._enter(Mode.MANUAL, "", changes)
+            else:
+                self._enter(
+                    Mode.HOLD, "armed, but no hand is heard yet: start the hand link or ask for AUTO", changes
+                )
         elif ask is Ask.DISARM:
             self._disarm(facts, changes)
         elif ask is Ask.MANUAL:
@@ -187,7 +197,7 @@ class ModeMachine:
             self._enter(Mode.AUTO, "", changes)
         elif ask is Ask.HOLD and self._mode is not Mode.HOLD:
             # A rig that holds already keeps its reason, and goes on to disarm if that was asked.
-            self._enter(Mode.HOLD, "hold was asked", changes)
+            self._enter(Mode.HOLD, f"hold was asked: {_GO_ON}", changes)
         elif ask is Ask.RESET:
             self._enter(Mode.DISARMED, "", changes)
 
@@ -196,9 +206,11 @@ class ModeMachine:
             if facts.hand_fresh:
                 self._enter(Mode.MANUAL, "", changes)
             else:
-                self._enter(Mode.HOLD, "takeover by a hand that is no longer heard", changes)
+                self._enter(
+                    Mode.HOLD, "takeover by a hand that is no longer heard: close the clutch again", changes
+                )
         elif self._mode is Mode.AUTO and facts.auto_refusal:
-            self._enter(Mode.HOLD, facts.auto_refusal, changes)
+            self._enter(Mode.HOLD, f"{facts.auto_refusal}; {_GO_ON}", changes)
         elif self._mode is Mode.AUTO and facts.arrived:
             self._enter(Mode.MANUAL, "", changes)
         elif self._mode is Mode.HOLD and self._disarming:
@@ -206,13 +218,13 @@ class ModeMachine:
         elif self._mode is Mode.HOLD and facts.clutch_closing and facts.hand_fresh and facts.leased:
             self._enter(Mode.MANUAL, "", changes)
         if self._mode is Mode.MANUAL and not facts.leased:
-            self._enter(Mode.HOLD, "the lease ended", changes)
+            self._enter(Mode.HOLD, "nobody controls the rig any more: take the lease to go on", changes)
         elif self._mode is Mode.MANUAL and not facts.hand_fresh:
             self._enter(Mode.HOLD, "the hand is silent: close the clutch again to go on", changes)
 
     def _disarm(self, facts: Facts, changes: list[Transition]) -> None:
         if self._mode in ARMED and not facts.at_rest:
-            self._enter(Mode.HOLD, "coming to rest, then disarmed", changes)
+            self._enter(Mode.HOLD, "coming to rest, then disarmed: wait", changes)
             self._disarming = True
         else:
             self._enter(Mode.DISARMED, "", changes)

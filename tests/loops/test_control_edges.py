@@ -276,7 +276,7 @@ def test_a_path_that_cannot_be_planned_ends_in_hold(driving: LockStep) -> None:
     driving.autopilot.decline(order, "no path leads there")
     driving.control.step(driving.now_s)
     assert driving.is_in(Mode.HOLD)
-    assert driving.control.machine.reason == "no path leads there"
+    assert driving.control.machine.reason.startswith("no path leads there")
 
 
 ACTS: dict[str, Callable[[LockStep], None]] = {

@@ -115,6 +115,12 @@ def silence_hand(rig: WatchedRig) -> None:
     rig.advance(0.12)
 
 
+def open_and_begin(rig: WatchedRig) -> None:
+    rig.clutch = False
+    rig.send_hand()
+    granted(rig, Ask.AUTO)
+
+
 def break_manipulator(rig: WatchedRig) -> None:
     rig.manipulator.fail()
     rig.advance(0.01)
@@ -153,7 +159,7 @@ CAUSES: dict[tuple[Mode, Mode], Callable[[WatchedRig], None]] = {
     (Mode.DISARMED, Mode.MANUAL): asks(Ask.ARM),
     (Mode.DISARMED, Mode.HOLD): arm_without_hand,
     (Mode.MANUAL, Mode.DISARMED): come_to_rest_and_disarm,
-    (Mode.MANUAL, Mode.AUTO): asks(Ask.AUTO),
+    (Mode.MANUAL, Mode.AUTO): open_and_begin,
     (Mode.MANUAL, Mode.HOLD): silence_hand,
     (Mode.AUTO, Mode.DISARMED): begin_and_disarm,
     (Mode.AUTO, Mode.MANUAL): close_clutch,
