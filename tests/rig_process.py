@@ -70,7 +70,7 @@ class RigProcess:
 
     def start_operator(self, *arguments: str) -> None:
         self.operator = subprocess.Popen(
-            [*MRNAV, "operate", "--port", str(self.ready["hand_port"]), "--url", self.url, *arguments],
+            [*MRNAV, "operator", "--port", str(self.ready["hand_port"]), "--url", self.url, *arguments],
             env=os.environ | {"MRNAV_SERVER__OPERATOR_TOKEN": self.ready["operator_token"]},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

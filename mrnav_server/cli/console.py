@@ -1,28 +1,22 @@
 """The twin stream as a console sees it: it keeps the lease alive and waits for what should happen."""
 
-import json
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
-from types import TracebackType
-from typing import Any, Self
 
-from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
-
+from mrnav_server.client.errors import ConnectionEndedError
+from mrnav_server.client.twin import Message, Twin
 from mrnav_server.core.errors import MrnavError
 
-State = dict[str, Any]
-_HEARTBEAT_S = 0.2
-_OPEN_S = 10.0
+State = Message
+_TAKE_S = 0.2
 
 
 class TrialFailedError(MrnavError):
     """The trial cannot go on. Reaction: it counts as not completed, for the reason given."""
 
 
-class TwinConsole:
-    """One connection to ``/ws/twin``.
+class TwinConsole(Twin):
+    """A twin whose states are waited for.
 
     Args:
         url: The server's web address.
@@ -30,35 +24,15 @@ class TwinConsole:
         alive: Asked often; raises if a process that the trial needs has ended.
 
     Attributes:
-        snapshot: The first message.
-        state: The newest state.
         modes: Every mode that was shown, in order, repeats left out.
-        events: Every event, in order.
     """
 
     def __init__(self, url: str, token: str, alive: Callable[[], None]) -> None:
-        address = url.replace("http", "ws", 1).rstrip("/") + "/ws/twin"
-        headers = {"Authorization": f"Bearer {token}"}
+        super().__init__(url, token, heartbeat=True)
         self._alive = alive
-        self._stack = ExitStack()
-        self._socket = self._stack.enter_context(
-            connect(address, additional_headers=headers, open_timeout=_OPEN_S, max_size=None, proxy=None)
-        )
-        self.snapshot: dict[str, Any] = json.loads(self._socket.recv(timeout=_OPEN_S))
-        self.state: State = self.snapshot["state"] or {}
         self.modes: list[str] = []
-        self.events: list[dict[str, Any]] = []
-        self._beaten_s = 0.0
         self._watchers: list[Callable[[State], None]] = []
         self._mode_watchers: list[Callable[[State], None]] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.close()
 
     def watch(self, watcher: Callable[[State], None]) -> None:
         """Have a function called with every state from now on."""
@@ -79,34 +53,26 @@ class TwinConsole:
             if time.monotonic() > deadline_s:
                 reason = self.state.get("reason") or self.state.get("auto_refusal") or "no reason given"
                 raise TrialFailedError(f"{what}: not within {timeout_s:g} s ({reason})")
-            self._take()
+            self._look()
         return self.state
 
     def wait(self, duration_s: float) -> None:
         """Take messages for a while."""
         end_s = time.monotonic() + duration_s
         while time.monotonic() < end_s:
-            self._take()
+            self._look()
 
-    def _take(self) -> None:
+    def _look(self) -> None:
         self._alive()
-        now_s = time.monotonic()
         try:
-            if now_s - self._beaten_s > _HEARTBEAT_S:
-                self._beaten_s = now_s
-                self._socket.send('{"type":"heartbeat"}')
-            message = json.loads(self._socket.recv(timeout=_HEARTBEAT_S))
-        except TimeoutError:
+            message = self.take(_TAKE_S)
+        except ConnectionEndedError as error:
+            raise TrialFailedError(str(error)) from None
+        if message is None or message["type"] != "state":
             return
-        except (WebSocketException, OSError) as error:
-            raise TrialFailedError(f"the twin stream ended ({error})") from None
-        if message["type"] == "event":
-            self.events.append(message)
-        elif message["type"] == "state":
-            self.state = message
-            if not self.modes or self.modes[-1] != message["mode"]:
-                self.modes.append(message["mode"])
-                for tell in self._mode_watchers:
-                    tell(message)
-            for watcher in self._watchers:
-                watcher(message)
+        if not self.modes or self.modes[-1] != message["mode"]:
+            self.modes.append(message["mode"])
+            for tell in self._mode_watchers:
+                tell(message)
+        for watcher in self._watchers:
+            watcher(message)

@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from http import HTTPStatus
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, Literal
@@ -22,18 +21,17 @@ from mrnav_server.cli.children import Child, mrnav_child
 from mrnav_server.cli.console import State, TrialFailedError, TwinConsole
 from mrnav_server.cli.demo_result import Tally, empty_result, note_end, note_states, result_table
 from mrnav_server.cli.emulated import emulated_controller
-from mrnav_server.cli.rest import Rest, RestError
+from mrnav_server.cli.trial_steps import ARMED_S, SEATED_S, ask_auto, insist, wait_ready, wait_tracking
+from mrnav_server.client.rest import Rest, RestError
 from mrnav_server.core.errors import MrnavError
 from mrnav_server.core.frames import VesselPoint
 from mrnav_server.core.vessel import VesselMap
 
-READY_S = 90.0
-ARMED_S = 5.0
-SEATED_S = 20.0
 AUTO_S = 60.0
 FINISH_S = 90.0
 REPORT_S = 150.0
 TARGET_UM = 150.0
+STAYS_S = 0.5
 SHORTEST_UM = 4000.0
 CLEARANCE_UM = 200.0
 _AUTO_ASKS = 4
@@ -133,13 +131,13 @@ def _run(model: str, seed: int, root: Path, keep_open: bool, manipulator: str | 
                     f"{manipulator}: an emulated controller on UDP group {env['MRNAV_SENSAPEX__GROUP']}"
                 )
             with mrnav_child("the server", serve, env, scratch / "serve") as server:
-                ready = _ready(ready_file, server)
+                ready = wait_ready(ready_file, server)
                 url, token = f"http://127.0.0.1:{ready['port']}", ready["operator_token"]
                 say.print(f"the server (simulated rig) is ready: {ready['url']}", soft_wrap=True)
                 area = _mark_site(Rest(url, token), vessel, seed)
-                operate = ["operate", "--port", str(ready["hand_port"]), "--url", url, "--seed", str(seed)]
+                sit = ["operator", "--port", str(ready["hand_port"]), "--url", url, "--seed", str(seed)]
                 secret = {"MRNAV_SERVER__OPERATOR_TOKEN": token}
-                with mrnav_child("the operator", operate, secret, scratch / "operate") as operator:
+                with mrnav_child("the operator", sit, secret, scratch / "operator") as operator:
                     with _console(url, token, server, operator) as twin:
                         twin.watch(lambda state: status.update(_line(state)))
                         twin.watch_modes(lambda state: say.print(_line(state), markup=False))
@@ -157,11 +155,7 @@ def _run(model: str, seed: int, root: Path, keep_open: bool, manipulator: str | 
 
 def _mark_site(rest: Rest, vessel: VesselMap, seed: int) -> str:
     """Wait for the robot to be seen, mark a critical area and return its id."""
-    deadline_s = time.monotonic() + SEATED_S
-    while (state := rest.get("/api/v1/state"))["track"]["state"] != "tracking":
-        if time.monotonic() > deadline_s:
-            raise TrialFailedError(f"the robot was not found within {SEATED_S:g} s")
-        time.sleep(0.1)
+    state = wait_tracking(rest)
     site = choose_site(vessel, VesselPoint(*state["robot_vessel_px"]), seed)
     center = {"frame": "vessel", "x": site.x_px, "y": site.y_px}
     area = rest.post("/api/v1/critical-areas", {"center": center, "epsilon_um": 500.0, "label": "thrombus"})
@@ -190,9 +184,7 @@ def _trial(rest: Rest, twin: TwinConsole, area: str, seed: int, result: dict[str
     except (TrialFailedError, RestError) as error:
         result["reason"] = str(error)
     else:
-        distance_um = twin.state["distance_um"]
-        result["completed"] = distance_um is not None and distance_um <= TARGET_UM
-        result["reason"] = "target reached" if result["completed"] else "the operator let go off the target"
+        result["completed"], result["reason"] = True, "target reached"
     note_states(twin, tally, result)
     if result["completed"]:
         rest.post("/api/v1/mode", {"ask": "disarm"})
@@ -203,10 +195,10 @@ def _perform(rest: Rest, twin: TwinConsole, tally: Tally, area: str) -> None:
     """Arm, let the autonomy drive, and wait until the operator lets go of the robot."""
     for _ in range(_AUTO_ASKS):
         if twin.state["mode"] not in ("MANUAL", "HOLD"):
-            _insist(rest, twin, "arm")
+            insist(rest, twin, "arm")
             twin.until(lambda s: s["mode"] in ("MANUAL", "HOLD"), ARMED_S, "arming")
         tally.drove = False
-        _ask_auto(rest, twin, area)
+        ask_auto(rest, twin, area)
         twin.until(lambda _: tally.drove, ARMED_S, "AUTO")
         twin.until(lambda s: s["mode"] != "AUTO", AUTO_S, "autonomy")
         if twin.state["mode"] not in ("HOLD", "FAULT"):
@@ -215,63 +207,24 @@ def _perform(rest: Rest, twin: TwinConsole, tally: Tally, area: str) -> None:
         if twin.state["mode"] == "FAULT":
             # As an operator would who has read the reason: on a busy machine the server misses its ticks.
             tally.drove = False
-            _insist(rest, twin, "reset")
+            insist(rest, twin, "reset")
     if not tally.handed_over:
         raise TrialFailedError(f"autonomy ended in {twin.state['mode']}: {twin.state['reason']}")
 
+    let_go_s: float | None = None
+
     def finished(state: State) -> bool:
-        return tally.gripped and not state["clutch"] and state["mode"] == "MANUAL"
+        nonlocal let_go_s
+        distance_um = state["distance_um"]
+        there = distance_um is not None and distance_um <= TARGET_UM
+        # A hand that grips anew opens the clutch too, and a robot may still slide on.
+        if not (tally.gripped and there and not state["clutch"] and state["mode"] == "MANUAL"):
+            let_go_s = None
+        elif let_go_s is None:
+            let_go_s = state["t"]
+        return let_go_s is not None and state["t"] - let_go_s >= STAYS_S
 
     twin.until(finished, FINISH_S, "the operator's part")
-    twin.wait(0.3)
-
-
-def _insist(rest: Rest, twin: TwinConsole, ask: str) -> None:
-    """Ask for a mode until it is granted: it may be refused until the tip was seen to rest."""
-    deadline_s = time.monotonic() + ARMED_S
-    while True:
-        try:
-            rest.post("/api/v1/mode", {"ask": ask})
-        except RestError as error:
-            if error.status != HTTPStatus.CONFLICT or time.monotonic() > deadline_s:
-                raise
-            twin.wait(0.2)
-        else:
-            return
-
-
-def _ask_auto(rest: Rest, twin: TwinConsole, area: str) -> None:
-    """Ask for AUTO until its guards are satisfied."""
-    deadline_s = time.monotonic() + SEATED_S
-    while True:
-        try:
-            rest.post("/api/v1/mode", {"ask": "auto", "area": area})
-        except RestError as error:
-            if twin.state["mode"] in ("FAULT", "STOP"):
-                raise TrialFailedError(f"{twin.state['mode']}: {twin.state['reason']}") from None
-            if error.status != HTTPStatus.CONFLICT or time.monotonic() > deadline_s:
-                raise
-            twin.wait(0.3)
-        else:
-            return
-
-
-def _ready(file: Path, server: Child) -> dict[str, Any]:
-    """Wait for the server's ready file and for its rig to be ready."""
-    deadline_s = time.monotonic() + READY_S
-    why = "it wrote no ready file"
-    while time.monotonic() < deadline_s:
-        server.check()
-        try:
-            ready: dict[str, Any] = json.loads(file.read_text())
-            Rest(f"http://127.0.0.1:{ready['port']}", ready["operator_token"]).get("/readyz")
-            return ready
-        except (FileNotFoundError, json.JSONDecodeError):
-            pass
-        except RestError as error:
-            why = str(error)
-        time.sleep(0.1)
-    raise TrialFailedError(f"the server was not ready within {READY_S:g} s: {why}")
 
 
 @contextmanager

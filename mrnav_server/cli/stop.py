@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from mrnav_server.cli.rest import Rest, RestError
 from mrnav_server.cli.serve import ConfigOption
+from mrnav_server.client.rest import Rest, RestError
 
 if TYPE_CHECKING:
     from mrnav_server.settings import Settings
@@ -66,13 +66,11 @@ def _stop_controllers(settings: "Settings") -> list[Stopped]:
     """Send STOP straight to the controller until its tip rests; needs no server."""
     if not settings.manipulator.driver.startswith("sensapex"):
         return []
-    from mrnav_server.devices.sensapex.discovery import LINK_LOCAL, LOOPBACK
     from mrnav_server.devices.sensapex.raw_stop import RawStop
     from mrnav_server.devices.sensapex.stop_until_rest import Tip, stop_until_rest
 
     sensapex = settings.sensapex
-    addresses = [sensapex.address] if sensapex.address else [LINK_LOCAL, LOOPBACK]
-    paths = [RawStop(address, sensapex.port, sensapex.wire_id) for address in addresses]
+    paths = [RawStop(address, sensapex.port, sensapex.wire_id) for address in sensapex.addresses]
     for path in paths:
         path.send()
     done = []

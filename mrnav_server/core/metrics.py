@@ -111,11 +111,7 @@ def trial_metrics(trial: Trial) -> TrialMetrics:
 
     Positions outside the trial's marks help the filters at its ends and count for nothing else.
     """
-    motions = [
-        part
-        for segment in segments(trial.t_s, trial.xy_um)
-        if (part := filtered(segment).between(trial.go_s, trial.end_s)).t_s.size > 1
-    ]
+    motions = trial_motions(trial.t_s, trial.xy_um, trial.go_s, trial.end_s)
     inside = (trial.t_s >= trial.go_s) & (trial.t_s <= trial.end_s)
     seen = np.isfinite(trial.xy_um[inside]).all(axis=1)
     clearance_um = trial.clearance_um[inside]
@@ -147,6 +143,22 @@ def trial_metrics(trial: Trial) -> TrialMetrics:
         peak_speed_um_per_s=peak,
         seen_share=float(seen.mean()) if seen.size else 0.0,
     )
+
+
+def trial_motions(t_s: FloatArray, xy_um: FloatArray, go_s: float, end_s: float) -> list[Motion]:
+    """Return the filtered motion between a trial's marks, one part per stretch without a gap.
+
+    Args:
+        t_s: Capture times in seconds, shape (n,); may hold more than the trial.
+        xy_um: Tracked positions, shape (n, 2); NaN where the robot was not seen.
+        go_s: The go cue.
+        end_s: The trial's end.
+    """
+    return [
+        part
+        for segment in segments(t_s, xy_um)
+        if (part := filtered(segment).between(go_s, end_s)).t_s.size > 1
+    ]
 
 
 def path_length_um(motions: Sequence[Motion]) -> float:
@@ -195,16 +207,19 @@ def straightness(motions: Sequence[Motion]) -> MedianLog:
     return _median_log(curvature, moving.size)
 
 
-def smoothness(motions: Sequence[Motion], sigma_s: float = 1.0) -> MedianLog:
+def smoothness(
+    motions: Sequence[Motion], sigma_s: float = 1.0, peak_um_per_s: float | None = None
+) -> MedianLog:
     """Return S, the median of log10 φ over sliding windows of σ inside a segment.
 
     Args:
-        motions: The trial's filtered motion.
+        motions: The trial's filtered motion, or a part of it.
         sigma_s: σ; the value depends on it. At 1 s the literal σ⁵ and the dimensionless σ³ agree.
+        peak_um_per_s: v_p; that of these motions if left out.
 
     Source: study metric (d), smoothness.
     """
-    peak = peak_speed_um_per_s(motions)
+    peak = peak_speed_um_per_s(motions) if peak_um_per_s is None else peak_um_per_s
     if not peak >= SLOWEST_UM_PER_S:
         return MedianLog(_NAN, 0, 0.0, 0.0)
     costs = np.concatenate([jerk_cost(m.jerk_um_per_s3, RATE_HZ, sigma_s, peak) for m in motions])

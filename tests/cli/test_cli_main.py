@@ -28,7 +28,7 @@ def ends(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:
 
 
 def test_every_command_explains_itself() -> None:
-    for command in ("serve", "demo", "operate", "doctor", "train", "evaluate", "report", "map"):
+    for command in ("serve", "demo", "operator", "doctor", "train", "evaluate", "report", "map"):
         result = CliRunner().invoke(app, [command, "--help"])
         assert result.exit_code == 0, result.output
     assert CliRunner().invoke(app, ["--version"]).stdout.strip() == __version__

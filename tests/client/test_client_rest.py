@@ -7,8 +7,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from mrnav_server.cli.operate import Seat, area_center_um
-from mrnav_server.cli.rest import Rest, RestError
+from mrnav_server.client.rest import Rest, RestError
 
 ANSWERS: dict[str, tuple[int, object]] = {
     "/api/v1/rig": (200, {"calibration": {"stage_from_vessel": [[10.0, 0.0, 1000.0], [0.0, 10.0, 2000.0]]}}),
@@ -78,7 +77,7 @@ def test_no_server_is_told() -> None:
     assert refusal.value.status == 0
 
 
-def test_the_operator_finds_an_area_on_the_stage(url: str) -> None:
-    seat = Seat("127.0.0.1", 9000, url, "secret", "tester")
-    assert area_center_um(seat, "area-1") == (1300.0, 2400.0)
-    assert area_center_um(seat, "area-2") is None
+def test_bytes_come_as_they_are(url: str) -> None:
+    assert json.loads(Rest(url, "secret").get_bytes("/api/v1/rig")) == ANSWERS["/api/v1/rig"][1]
+    with pytest.raises(RestError, match="there is no area-2"):
+        Rest(url, "secret").get_bytes("/api/v1/critical-areas/area-2")

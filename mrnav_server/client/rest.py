@@ -1,4 +1,4 @@
-"""A small client of the server's REST interface, for the commands that talk to a running server."""
+"""The server's REST interface as a client."""
 
 import json
 import ssl
@@ -59,6 +59,14 @@ class Rest:
         """
         return self._send(Request(self._url + path, headers=self._headers))
 
+    def get_bytes(self, path: str) -> bytes:
+        """Return the answer to GET as it came, for example a picture.
+
+        Raises:
+            RestError: If it is refused or not answered.
+        """
+        return self._content(Request(self._url + path, headers=self._headers))
+
     def post(self, path: str, body: dict[str, Any]) -> Any:  # noqa: ANN401 - see above
         """Return the answer to POST, parsed.
 
@@ -69,9 +77,13 @@ class Rest:
         return self._send(Request(self._url + path, content, self._headers, method="POST"))
 
     def _send(self, request: Request) -> Any:  # noqa: ANN401 - see above
+        return json.loads(self._content(request) or b"null")
+
+    def _content(self, request: Request) -> bytes:
         try:
             with self._opener.open(request, timeout=self._timeout_s) as answer:
-                return json.loads(answer.read() or b"null")
+                content: bytes = answer.read()
+                return content
         except HTTPError as error:
             with error:
                 raise _refusal(error.code, error.read()) from None
