@@ -42,12 +42,14 @@ from mrnav_server.sim.world import SimConfig
 from mrnav_server.vision.calibration_plan import CalibrationConfig
 from mrnav_server.vision.drift import DriftConfig
 from mrnav_server.vision.registration import RegistrationConfig
+from mrnav_server.vision.tip import TipLook
+from mrnav_server.vision.tip_agreement import TipWatchConfig
 from mrnav_server.vision.tracker import TrackerConfig
 
 DEFAULT_FILE = Path("mrnav.toml")
 _PREFIX = "MRNAV_"
 _Path = tuple[str, ...]
-_SECRETS = ("operator_token", "viewer_token")
+_SECRETS = ("chief_token", "operator_token", "viewer_token")
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 Token = Annotated[str, Field(min_length=16, pattern=r"^[A-Za-z0-9_.~-]+$")]
@@ -63,6 +65,7 @@ class ServerConfig:
         hand_port: Hand link over TCP; 0 takes a free one.
         operator_token: Lets its bearer control the rig, at least 16 characters; None makes one at start.
         viewer_token: Lets its bearer watch, and stop; None makes one at start.
+        chief_token: Lets its bearer take control from another operator too; None: nobody may.
         insecure: Accept that other machines reach the server without TLS.
         origins: Further origins that pages may come from, for example ``"https://lab.example:8443"``.
         tls_certificate: PEM file with the certificate chain; None serves plain HTTP.
@@ -76,6 +79,7 @@ class ServerConfig:
     hand_port: Port = 9000
     operator_token: Token | None = field(default=None, repr=False)
     viewer_token: Token | None = field(default=None, repr=False)
+    chief_token: Token | None = field(default=None, repr=False)
     insecure: bool = False
     origins: tuple[str, ...] = ()
     tls_certificate: str | None = None
@@ -170,6 +174,8 @@ class Settings(BaseModel):
     tracker: TrackerConfig = TrackerConfig()
     registration: RegistrationConfig = RegistrationConfig()
     drift: DriftConfig = DriftConfig()
+    tip: TipLook = TipLook()
+    tip_watch: TipWatchConfig = TipWatchConfig()
     follower: FollowerConfig = FollowerConfig()
     limits: Limits = Limits()
     hand: HandConfig = HandConfig()
@@ -384,6 +390,8 @@ def _contradictions(values: dict[str, Any]) -> Iterator[str]:
         yield f"server.port and server.hand_port are both {server.port}: choose two ports, or 0 for free ones"
     if server.operator_token is not None and server.operator_token == server.viewer_token:
         yield "server.operator_token and server.viewer_token are equal: choose two"
+    if server.chief_token is not None and server.chief_token in (server.operator_token, server.viewer_token):
+        yield "server.chief_token equals another token: choose one of its own"
     yield from _film_contradictions(values)
     hand_link = values.get("hand_link", {})
     for name, instead in (("host", "server.host"), ("port", "server.hand_port")):

@@ -1,15 +1,17 @@
 """REST routes of the rig: health, state, control, picture; and the WebSockets."""
 
+import asyncio
 from typing import Annotated, Any
 
 import orjson
 from fastapi import APIRouter, Depends, Query, Response, WebSocket
 
-from mrnav_server.app import areas, registration_routes, trials
-from mrnav_server.app.context import Context, Operator, Viewer, operator, viewer
+from mrnav_server.app import areas, calibration_routes, registration_routes, trials
+from mrnav_server.app.context import Context, Operator, Viewer, chief, operator, viewer
 from mrnav_server.app.metrics_endpoint import CONTENT_TYPE, RigCollector
 from mrnav_server.app.problems import ApiError, problem
-from mrnav_server.app.schemas import LeaseBody, ModeBody
+from mrnav_server.app.schemas import HandBody, LeaseBody, ModeBody
+from mrnav_server.app.twin_scene import ToolShape, scene_glb
 from mrnav_server.core.wire_twin import twin_state, vessel_fields
 
 Width = Annotated[int, Query(ge=64, le=4096, description="Width of the picture in px, in steps of 16")]
@@ -22,6 +24,7 @@ api = APIRouter(prefix="/api/v1", dependencies=[Depends(viewer)])
 api.include_router(areas.router)
 api.include_router(trials.router)
 api.include_router(registration_routes.router)
+api.include_router(calibration_routes.router)
 
 
 @health.get("/healthz")
@@ -74,6 +77,17 @@ async def vessel_png(parts: Context) -> Response:
     return Response(parts.vessel_png, media_type="image/png")
 
 
+@api.get("/vessel.glb", tags=["rig"])
+async def vessel_glb(parts: Context) -> Response:
+    """Return the rig as a scene in metres: vessel, robot, tool and critical areas (docs/protocol.md)."""
+    rig, magnets = parts.rig, parts.rig.settings.sim.magnets
+    tool = ToolShape(
+        magnets.needle_diameter_um, magnets.needle_length_um, magnets.tilt_deg, magnets.azimuth_deg
+    )
+    glb = await asyncio.to_thread(scene_glb, rig.vessel, rig.calibration, rig.areas.list(), tool)
+    return Response(glb, media_type="model/gltf-binary")
+
+
 @api.get("/policies", tags=["rig"])
 async def policies(parts: Context) -> list[dict[str, Any]]:
     """Return the policies and whether each was verified for this vessel model."""
@@ -90,10 +104,20 @@ async def mode(parts: Context, body: ModeBody, principal: Viewer) -> dict[str, A
     return {"ok": True, "code": "ok", "message": ""}
 
 
+@api.post("/hand", tags=["control"])
+async def hand_scale(parts: Context, body: HandBody, principal: Operator) -> dict[str, Any]:
+    """Choose the hand's scale; 409 while the clutch is closed."""
+    parts.rig.console.choose_scale(principal.session, body.scale)
+    return {"ok": True, "code": "ok", "message": ""}
+
+
 @api.post("/lease", tags=["control"])
 async def take_lease(parts: Context, body: LeaseBody, principal: Operator) -> dict[str, str]:
-    """Take control; 409 while another has it."""
-    parts.rig.console.take_lease(principal.session, body.client)
+    """Take control; 409 while another has it, unless a chief takes it over."""
+    if body.force:
+        await parts.rig.console.take_over(chief(principal).session, body.client)
+    else:
+        parts.rig.console.take_lease(principal.session, body.client)
     return {"session": principal.session}
 
 

@@ -69,6 +69,7 @@ class RegistrationDesk:
         self._root = root
         self._vessel = vessel
         self._base = base
+        self._belongs_to = belongs_to
         self._made_for = digest_of(base, vessel.digest, belongs_to)
         self._frames = frames
         self._check = check
@@ -77,6 +78,12 @@ class RegistrationDesk:
         self._busy = False
         self._calibration = base
         self._record: RegistrationRecord | None = None
+
+    def rebase(self, base: Calibration) -> None:
+        """Take another calibration as the one without a registration; the present registration is void."""
+        self._base = self._calibration = base
+        self._made_for = digest_of(base, self._vessel.digest, self._belongs_to)
+        self._record = None
 
     def restore(self) -> str:
         """Go by the registration that was kept; return why there is none although one was kept, or ""."""

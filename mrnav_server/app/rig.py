@@ -14,6 +14,7 @@ from typing import Any
 
 from mrnav_server.app.auth import Tokens
 from mrnav_server.app.bench import build_bench
+from mrnav_server.app.calibration_desk import CalibrationDesk
 from mrnav_server.app.console_desk import ConsoleDesk
 from mrnav_server.app.drift_patrol import DriftPatrol
 from mrnav_server.app.hand_seat import HandSeat
@@ -22,6 +23,7 @@ from mrnav_server.app.navigator import Navigator
 from mrnav_server.app.registration_desk import RegistrationDesk
 from mrnav_server.app.supervision import come_to_rest, supervised, tell_earlier_stops
 from mrnav_server.app.telemetry import Telemetry
+from mrnav_server.app.tip_patrol import TipPatrol
 from mrnav_server.app.trial_desk import TrialDesk
 from mrnav_server.app.trial_video import TrialVideo
 from mrnav_server.app.video import VideoEncoder
@@ -124,9 +126,26 @@ class Rig:
             self._recalibrate,
             self.herald.announce,
         )
+        self.calibrating = CalibrationDesk(
+            settings.calibration,
+            settings.camera,
+            settings.tracker,
+            self._root,
+            self.vessel,
+            lambda: self.simulated,
+            self.control,
+            self.frames,
+            self._check_registration,
+            self._calibration_objection,
+            self.bench.scene,
+            self._use_calibration,
+            self.herald.announce,
+            clock,
+        )
         self.console = ConsoleDesk(
             self.control,
             self.lease,
+            self.hand,
             self.areas,
             self.navigator,
             self.bench.manipulator,
@@ -152,13 +171,26 @@ class Rig:
             self.vessel,
             self.calibration,
             self.frames,
-            lambda: self._camera_fault,
+            lambda: self._camera_fault or self.control.errand.busy,
             self.herald.announce,
         )
+        self._tip = TipPatrol(
+            settings.tip_watch,
+            settings.tip,
+            self.vessel,
+            self.calibration,
+            self.frames,
+            self.control.scene,
+            lambda: self._camera_fault or self.control.errand.busy,
+            self.herald.announce,
+        )
+        self.telemetry.tip_seen = lambda: self._tip.seen
         around = self.control.surroundings
         around.recorder_fault = lambda: self._recorder.fault or ""
         around.camera_fault = lambda: self._camera_fault or self._frame_watch.overdue(self._clock())
-        around.drift_warning = lambda: self._drift.warning() or self._registration_warning
+        around.drift_warning = lambda: (
+            self._drift.warning() or self._tip.warning() or self._registration_warning
+        )
         around.drift_fault = self._drift.fault
         around.device_warnings = self.bench.manipulator.warnings
         around.announce = lambda left_s: self.herald.announce(
@@ -177,7 +209,12 @@ class Rig:
             clock=clock,
             on_bad_numbers=seat.on_bad_numbers,
             limits={"speed_um_per_s": settings.limits.speed_um_per_s},
-            transform={"gain": settings.hand.gain, "vertical_gain": settings.hand.vertical_gain},
+            transform={
+                "gain": settings.hand.gain,
+                "fine_gain": settings.hand.fine_gain,
+                "vertical_gain": settings.hand.vertical_gain,
+            },
+            choose_scale=seat.choose_scale,
         )
         self._twin: Mapping[str, object] | None = None
         self._tracker = Tracker(settings.tracker, self.calibration)
@@ -301,6 +338,8 @@ class Rig:
                 group.create_task(self._run_planner(), name="planner")
                 group.create_task(self.film.run(), name="film")
                 group.create_task(self._drift.run(self._clock), name="drift")
+                group.create_task(self._tip.run(self._clock), name="tip")
+                group.create_task(self.calibrating.run(), name="calibration")
                 listening = asyncio.Event()
                 group.create_task(self._hand_link.run(listening), name="hand link")
                 await listening.wait()
@@ -368,6 +407,19 @@ class Rig:
         if self._recorder.trial is not None:
             raise RefusedError("trial_running", "a trial keeps the registration it began with: end it first")
 
+    def _calibration_objection(self, session: str) -> str:
+        """Return why a session's calibration must not move the tip now, or ""."""
+        if not self.lease.holds(session):
+            return "the lease ended"
+        if not self.lease.console_heard_within(self.settings.guards.console_s, self._clock()):
+            return "the page that leads it is silent"
+        return "a trial was begun" if self._recorder.trial is not None else ""
+
+    def _use_calibration(self, calibration: Calibration) -> None:
+        """Go by a calibration that was just made; the vessel's registration was made for another."""
+        self._recalibrate(calibration)
+        self.registration.rebase(calibration)
+
     def _recalibrate(self, calibration: Calibration) -> None:
         """Go by another calibration from here on: the only place where one is changed."""
         self.control.recalibrate(calibration)
@@ -376,6 +428,7 @@ class Rig:
         self.telemetry.recalibrate(calibration)
         self._tracker.recalibrate(calibration)
         self._drift.recalibrate(calibration)
+        self._tip.recalibrate(calibration)
         self._registration_warning = ""
 
     def _simulated_place(self) -> object:
@@ -453,6 +506,7 @@ class Rig:
     def _counters(self) -> dict[str, int]:
         counters = Counter(self.control.drive.counters)
         counters.update(self._hand_link.counters)
+        counters.update(self.hand.counters)
         return dict(counters)
 
     def _publish(self) -> None:

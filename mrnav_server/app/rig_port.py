@@ -1,6 +1,7 @@
 """What the web side needs of a rig; ``app/rig.py`` gives it, tests give a small one."""
 
 import asyncio
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 from mrnav_server.core.frames import Calibration, VesselPoint
@@ -52,6 +53,9 @@ class Trials(Protocol):
 class Console(Protocol):
     """What consoles ask for; refusals are RefusedErrors with the reason."""
 
+    def choose_scale(self, session: str, scale: str) -> None:
+        """Choose the hand's scale."""
+
     async def ask(self, name: str, session: str, area: str | None) -> None:
         """Ask for a mode."""
 
@@ -60,6 +64,9 @@ class Console(Protocol):
 
     def take_lease(self, session: str, client: str) -> None:
         """Take control."""
+
+    async def take_over(self, session: str, client: str) -> None:
+        """Take control from whoever has it, once the rig rests."""
 
     def give_lease(self, session: str) -> None:
         """Give control back."""
@@ -79,6 +86,27 @@ class Registering(Protocol):
 
     async def adjust(self, session: str, dx_um: float, dy_um: float, turn_deg: float) -> dict[str, Any]:
         """Move the model by hand."""
+
+
+class Calibrating(Protocol):
+    """The guided calibration; asks raise RefusedError with the reason."""
+
+    def state(self) -> dict[str, Any]:
+        """Describe where it stands."""
+
+    def begin(
+        self, session: str, changes: Mapping[str, float | int], water_depth_um: float
+    ) -> dict[str, Any]:
+        """Begin afresh."""
+
+    def next(self, session: str) -> dict[str, Any]:
+        """Go on: the bench is prepared."""
+
+    def cancel(self) -> dict[str, Any]:
+        """Bring the tip to rest and forget."""
+
+    def use(self, session: str) -> dict[str, Any]:
+        """Keep what was measured, and go by it."""
 
 
 class RigPort(Protocol):
@@ -119,6 +147,10 @@ class RigPort(Protocol):
     @property
     def console(self) -> Console:
         """Modes, control and STOP."""
+
+    @property
+    def calibrating(self) -> Calibrating:
+        """The guided calibration."""
 
     @property
     def registration(self) -> Registering:

@@ -29,6 +29,12 @@ class AreaBody(_Body):
     label: Label = ""
 
 
+class HandBody(_Body):
+    """How far the tip goes for the hand's motion."""
+
+    scale: Literal["coarse", "fine"]
+
+
 class ModeBody(_Body):
     """An ask for a mode; ``auto`` goes to a critical area."""
 
@@ -37,9 +43,13 @@ class ModeBody(_Body):
 
 
 class LeaseBody(_Body):
-    """Taking control; ``client`` is the name under which others see the holder."""
+    """Taking control; ``client`` is the name under which others see the holder.
+
+    ``force`` takes it from whoever has it: the rig comes to rest first. For chiefs alone.
+    """
 
     client: Label = "page"
+    force: bool = False
 
 
 class TrialBody(_Body):

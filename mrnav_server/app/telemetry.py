@@ -1,6 +1,7 @@
 """What the rig tells of itself: latencies, rates, counters, and the state that twin clients see."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 from mrnav_server.core.frames import Calibration
@@ -12,6 +13,7 @@ from mrnav_server.loops.autopilot import Autopilot
 from mrnav_server.loops.control import ControlLoop
 from mrnav_server.loops.timing import Rate, RollingLatency
 from mrnav_server.loops.trial_marks import TrialMarks
+from mrnav_server.vision.tip_agreement import TipSeen
 
 
 class Telemetry:
@@ -48,6 +50,8 @@ class Telemetry:
         self._ticked_s: float | None = None
         self._published_frame = -1
         self._seq = 0
+        self.tip_seen: Callable[[], TipSeen] = TipSeen
+        """Where the tip was seen in the picture."""
 
     def recalibrate(self, calibration: Calibration) -> None:
         """Go by another calibration."""
@@ -104,7 +108,11 @@ class Telemetry:
             track_age_ms=1000.0 * (now_s - track.taken_s) if track else 0.0,
             mode=machine.mode,
             severity=machine.severity(facts),
-            reason="; ".join(filter(None, (machine.reason, facts.warning))),
+            reason="; ".join(
+                filter(
+                    None, (control.errand.text or machine.reason, self._hand.trouble(now_s), facts.warning)
+                )
+            ),
             authority=control.authority(now_s),
             lease=self._lease.state(),
             clutch=self._hand.clutch,
@@ -123,6 +131,14 @@ class Telemetry:
                 "hand_poses": self.hand_poses.hz(now_s),
                 "tick": self._ticks.hz(now_s),
             },
+            hand={
+                "scale": self._hand.scale,
+                "gain": self._hand.gain,
+                "messages_hz": self.hand_messages.hz(now_s),
+                "poses_hz": self.hand_poses.hz(now_s),
+            },
             counters=counters,
             trial=trial,
+            tip_seen_px=self.tip_seen().image,
+            tip_off_um=self.tip_seen().off_um,
         )

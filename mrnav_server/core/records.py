@@ -158,8 +158,11 @@ class RigState:
         path: Planned path in vessel grid pixels, shape (n, 2), thinned for display.
         latency_ms: Percentiles by name: hand_to_command, frame_to_twin, tick.
         rates_hz: Measured rates by name: camera, hand, hand_poses, tick.
+        hand: scale ("coarse" or "fine"), gain (τ), messages_hz and poses_hz.
         counters: Counts by name, for example non_finite, stale, shielded.
         trial: Id of the running trial; None without one.
+        tip_seen_px: Where the tip was seen in the image at the last look; None if it was not.
+        tip_off_um: How far that was from where the calibration puts it, at the tip's height.
     """
 
     seq: int
@@ -185,5 +188,8 @@ class RigState:
     path: tuple[tuple[float, float], ...]
     latency_ms: dict[str, Percentiles]
     rates_hz: dict[str, float]
+    hand: dict[str, str | float]
     counters: dict[str, int]
     trial: str | None
+    tip_seen_px: ImagePoint | None = None
+    tip_off_um: float | None = None

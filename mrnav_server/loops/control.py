@@ -18,6 +18,7 @@ from mrnav_server.core.vessel import VesselMap
 from mrnav_server.devices.base import Manipulator
 from mrnav_server.loops.autopilot import Autopilot
 from mrnav_server.loops.drive import Drive, Log
+from mrnav_server.loops.errand import Errand
 from mrnav_server.loops.guards import (
     GuardConfig,
     arm_refusal,
@@ -85,6 +86,7 @@ class ControlLoop:
         self.scene = Scene(calibration, vessel)
         self.drive = Drive(limits, guards, manipulator, calibration, vessel, log)
         self.surroundings = Surroundings()
+        self.errand = Errand(limits)
         self.hand_to_command = RollingLatency()
         self.generation = 0
         """Rises with every ask that is granted, closed clutch, change of mode and change of the goal."""
@@ -164,6 +166,7 @@ class ControlLoop:
         """
         self._facts = self._gather(now_s)
         self.machine.check(ask, self._facts)
+        self.errand.told(ask)
 
     def submit(self, ask: Ask, now_s: float) -> None:
         """Grant an ask in a step of its own.
@@ -195,7 +198,11 @@ class ControlLoop:
         dt_s = 0.0 if self._stepped_s is None else now_s - self._stepped_s
         self._stepped_s = now_s
         # A hand that comes into view closed takes over from the policy, but wakes nothing that rests.
-        closing = self._hand.take_closing(anew=self.machine.mode is not Mode.AUTO)
+        closing = (
+            self._hand.take_closing(anew=self.machine.mode is not Mode.AUTO) and not self.errand.reserved
+        )
+        self.errand.look()
+        self.drive.elsewhere = self.errand.kept if self.errand.reserved else None
         if self.machine.mode is Mode.AUTO and self._handover.sharing.enabled:
             closing = self._share(closing=closing, now_s=now_s)
         facts = self._gather(now_s, closing=closing)
@@ -240,7 +247,7 @@ class ControlLoop:
         lease = self._lease.state()
         if not lease.hand:
             self._hand.lose()
-        fresh = self._hand.fresh(now_s)
+        fresh = self._hand.fresh(now_s) and not self.errand.reserved
         scene, around = self.scene, self.surroundings
         recorder_fault, supervisor_fault = around.recorder_fault(), around.supervisor_fault()
         return Facts(
@@ -249,11 +256,12 @@ class ControlLoop:
             clutch_closing=closing,
             at_rest=self._at_rest(now_s),
             arrived=self._arrived(),
+            hand_drives=self.machine.mode is Mode.MANUAL and self._hand.engaged,
             fault=self._fault(now_s),
             arm_refusal=(
                 "the manipulator is being stopped: wait until it rests" if self._stopping.pending else ""
             )
-            or arm_refusal(scene.tip, self._limits, self._calibration, self._vessel)
+            or self._arm_refusal()
             or recorder_fault
             or supervisor_fault,
             auto_refusal=self._auto_refusal(fresh, now_s) or recorder_fault or supervisor_fault,
@@ -264,6 +272,12 @@ class ControlLoop:
             or around.drift_warning()
             or track_refusal(scene.track, scene.seen, self._guards, now_s),
         )
+
+    def _arm_refusal(self) -> str:
+        """Return why the tip must not be set in motion from where it is, or ""."""
+        if self.errand.reserved:
+            return self.errand.arm_refusal(self.scene.tip)
+        return arm_refusal(self.scene.tip, self._limits, self._calibration, self._vessel)
 
     def _at_rest(self, now_s: float) -> bool:
         """Tell whether setpoint and tip stand still."""
@@ -317,6 +331,8 @@ class ControlLoop:
 
     def _on_change(self, change: Transition, now_s: float) -> None:
         self.generation += 1
+        if change.after is not Mode.HOLD:
+            self.errand.end(change.reason or "the rig was disarmed")
         if change.before is Mode.AUTO:
             self._autopilot.end()
         if change.after in (Mode.STOP, Mode.FAULT):
@@ -358,7 +374,7 @@ class ControlLoop:
             self._announce()
             return self._with_hand(wish, now_s)
         if mode is not Mode.MANUAL:
-            return None
+            return self.errand.reference
         hand = self._hand.reference(now_s)
         if self._blend is None:
             return hand

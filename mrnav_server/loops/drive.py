@@ -9,7 +9,7 @@ from typing import Any
 
 from mrnav_server.core.errors import DeviceError
 from mrnav_server.core.frames import Calibration, StagePoint
-from mrnav_server.core.limits import Limits, allowed_target
+from mrnav_server.core.limits import Limits, allowed_target, require_finite
 from mrnav_server.core.modes import Mode
 from mrnav_server.core.records import MotionCommand, TipReading
 from mrnav_server.core.shaping import Reference, Shaper
@@ -51,6 +51,8 @@ class Drive:
         self.counters = {"commands": 0, "clamped": 0, "non_finite": 0, "held_back": 0}
         self.fault = ""
         """Why the last command could not be sent, or ""; for whoever latches it to clear."""
+        self.elsewhere: Callable[[StagePoint], StagePoint] | None = None
+        """Where the tip may be instead of where the calibration allows it."""
         self._limits = limits
         self._manipulator = manipulator
         self._calibration = calibration
@@ -144,6 +146,8 @@ class Drive:
         return sent
 
     def _allowed(self, point: StagePoint) -> StagePoint:
+        if self.elsewhere is not None:
+            return self.elsewhere(require_finite(point))
         return allowed_target(point, self._limits, self._calibration, self._vessel)
 
 

@@ -154,15 +154,7 @@ class SimulatedWorld:
         self._config = config
         self._vessel = vessel
         self._vessel_from_stage = self.true_calibration.stage_from_vessel.inverse()
-        self._robot = Robot(
-            _seen_from_vessel(config),
-            vessel,
-            start,
-            friction=config.friction,
-            static_ratio=config.static_ratio,
-            drag_factor=config.drag_factor,
-            viscosity_pa_s=config.viscosity_pa_s,
-        )
+        self._robot = _robot(config, vessel, start)
         self._tip_um = self._target_um = _tip_at_rest_um(config, self.true_calibration, start)
         self._speed_um_per_s = SLOWEST_UM_PER_S
         self._bump_um = (0.0, 0.0)
@@ -223,6 +215,18 @@ class SimulatedWorld:
     def drop_robot(self) -> None:
         """Simulate a robot that was lost: the magnet no longer pulls it."""
         self._robot.held = False
+
+    def lay(self, vessel: VesselMap, start: VesselPoint) -> None:
+        """Put another vessel in the present one's place, of the same grid; the robot rests in it, released.
+
+        Raises:
+            ConfigError: If the robot does not fit there.
+        """
+        _require_free(vessel, start)
+        self._vessel = vessel
+        self._robot = _robot(self._config, vessel, start)
+        self._robot.held = False
+        self._snapshot = self._seen()
 
     def place_robot(self, point: VesselPoint) -> None:
         """Put the robot down at rest, held by the magnet again; the manipulator stays where it is.
@@ -400,6 +404,18 @@ def _with_offset_error(true: Calibration, error_um: float, rng: np.random.Genera
     x_um, y_um = true.magnet_offset_um
     return replace(
         true, magnet_offset_um=(x_um + error_um * math.cos(angle), y_um + error_um * math.sin(angle))
+    )
+
+
+def _robot(config: SimConfig, vessel: VesselMap, start: VesselPoint) -> Robot:
+    return Robot(
+        _seen_from_vessel(config),
+        vessel,
+        start,
+        friction=config.friction,
+        static_ratio=config.static_ratio,
+        drag_factor=config.drag_factor,
+        viscosity_pa_s=config.viscosity_pa_s,
     )
 
 

@@ -5,6 +5,7 @@
 
 import { ApiError, request, useSession } from "./api.js";
 import { Areas } from "./areas.js";
+import { Calibration } from "./calibration.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
 import { byId, setText } from "./dom.js";
@@ -15,6 +16,7 @@ import { Registration } from "./registration.js";
 import { Status } from "./status.js";
 import { StopButton } from "./stop.js";
 import { Trials } from "./trial.js";
+import { TwinPanel } from "./twin-panel.js";
 import { TwinClient } from "./twin.js";
 import { VideoView } from "./video.js";
 
@@ -40,9 +42,11 @@ const placeholder = byId("video-placeholder", HTMLElement);
 const messages = new Messages();
 const status = new Status();
 const charts = new Charts();
+const calibration = new Calibration(messages);
 const areas = new Areas(messages, () => show());
 const trials = new Trials(messages);
 const registration = new Registration(messages, () => drawOverlay());
+const panel = new TwinPanel();
 const twin = new TwinClient({ onSnapshot, onState, onEvent, onLink });
 const stop = new StopButton(() => twin.ask("stop"), messages);
 const controls = new Controls(
@@ -69,9 +73,11 @@ function onSnapshot(next) {
   byId("simulated", HTMLElement).hidden = !next.rig.simulated;
   setText(byId("vessel-name", HTMLElement), next.vessel.name);
   setText(byId("role", HTMLElement), next.role);
+  calibration.reset(next);
   areas.reset(next);
   trials.reset(next);
   registration.reset(next);
+  void panel.reset(next);
   if (next.state) onState(next.state);
 }
 
@@ -81,6 +87,7 @@ function onState(next) {
   state = next;
   received_ms = performance.now();
   if (changed) show();
+  panel.show(next);
   drawOverlay();
 }
 
@@ -89,6 +96,7 @@ function onEvent(event) {
   switch (event.event) {
     case "areas":
       areas.update(event.critical_areas);
+      if (snapshot) void panel.reset(snapshot);
       break;
     case "handover":
       messages.say(event.by === "takeover" ? "You took over" : "Arrived: the robot is yours to steer", "info");
@@ -99,9 +107,11 @@ function onEvent(event) {
     case "trial":
       if (event.mark === "reached") messages.say("Target reached", "info");
       break;
+    case "calibration":
     case "registration":
       if (snapshot) snapshot = { ...snapshot, calibration: event.calibration };
       void registration.refresh();
+      if (snapshot) void panel.reset(snapshot);
       break;
     case "fault":
       messages.say(event.reason, "warning");
@@ -158,6 +168,7 @@ function show() {
   status.showRates(state);
   trials.show(state, now_ms / 1000, fresh);
   registration.show(state, fresh);
+  calibration.show(state, fresh);
   const left_s = state.time_to_handover_s;
   const announced = fresh && state.mode === "AUTO" && left_s !== null && left_s <= ANNOUNCE_HANDOVER_S;
   announcement.hidden = !announced;

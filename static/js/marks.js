@@ -89,6 +89,22 @@ export function tipCross(context, [x, y]) {
 }
 
 /**
+ * Where the end-effector was seen in the picture: a small diamond, within the cross if all is well.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Pair} at
+ */
+export function tipSeen(context, [x, y]) {
+  const reach = 6;
+  context.beginPath();
+  context.moveTo(x + reach, y);
+  context.lineTo(x, y + reach);
+  context.lineTo(x - reach, y);
+  context.lineTo(x, y - reach);
+  context.closePath();
+  strokeCased(context, COLORS.tip, 1.5);
+}
+
+/**
  * The policy's path: a line that ends in an arrow head.
  * @param {CanvasRenderingContext2D} context
  * @param {Pair[]} points

@@ -4,7 +4,7 @@
  */
 
 import { apply, scaleOf } from "./geometry.js";
-import { criticalArea, outline, pathLine, robotRing, scaleBar, tag, tipCross } from "./marks.js";
+import { criticalArea, outline, pathLine, robotRing, scaleBar, tag, tipCross, tipSeen } from "./marks.js";
 
 /** @import { CriticalArea, Pair, Snapshot, State } from "./types.js" */
 
@@ -138,6 +138,7 @@ export class Overlay {
       const radius = snapshot.vessel.robot_radius_um * css_per_um;
       robotRing(context, this.#onScreen(state.robot_px, zoom), radius, state.track.state === "tracking");
     }
+    if (state.tip_seen_px) tipSeen(context, this.#onScreen(state.tip_seen_px, zoom));
     if (state.tip_px) tipCross(context, this.#onScreen(state.tip_px, zoom));
     scaleBar(context, SCALE_BAR_UM * css_per_um, `${SCALE_BAR_UM / 1000} mm`, this.#canvas.clientHeight);
     this.#drawPointer(scene, css_per_um);

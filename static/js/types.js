@@ -49,6 +49,8 @@
  * @property {Triple | null} tip_um
  * @property {Triple | null} setpoint_um
  * @property {Pair | null} tip_px In the image.
+ * @property {Pair | null} tip_seen_px Where the tip was seen in the image at the last look.
+ * @property {number | null} tip_off_um How far that was from tip_px.
  * @property {Pair | null} robot_um
  * @property {Pair | null} robot_px In the image.
  * @property {Pair | null} robot_vessel_px
@@ -104,11 +106,34 @@
  */
 
 /**
+ * @typedef {object} CalibrationFigure
+ * @property {string} name
+ * @property {number} value_um
+ * @property {number | null} bound_um Beyond it the stage is refused.
+ */
+
+/**
+ * Where the guided calibration stands.
+ * @typedef {object} CalibrationState
+ * @property {"idle" | "waiting" | "moving" | "stopping" | "done"} phase
+ * @property {string | null} stage
+ * @property {string} text What is to be done next.
+ * @property {number} share Of the stage, 0..1.
+ * @property {string | null} scene What a person is to lay down; null if nothing.
+ * @property {string} refusal
+ * @property {boolean} simulated
+ * @property {{square_um: number, columns: number, rows: number, water_depth_um: number}} plan
+ * @property {{stage: string, done: boolean, figures: CalibrationFigure[]}[]} stages
+ * @property {string | null} file
+ * @property {string | null} setting The line of the settings that keeps it.
+ */
+
+/**
  * @typedef {{type: "event", t: number} & (
  *   {event: "areas", critical_areas: CriticalArea[]} |
  *   {event: "handover", by: "arrival" | "takeover"} |
  *   {event: "fault", reason: string} |
- *   {event: "registration", calibration: Snapshot["calibration"]} |
+ *   {event: "registration" | "calibration", calibration: Snapshot["calibration"]} |
  *   {event: "trial", mark: "start" | "go" | "reached" | "end"} |
  *   {event: "mode" | "handover_announced" | "contact" | "lease"}
  * )} TwinEvent

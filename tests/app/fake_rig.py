@@ -1,7 +1,7 @@
 """A rig without devices: what the server asks of it is noted, what it publishes is put by the test."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
@@ -26,7 +26,14 @@ from mrnav_server.vision.vessel_model import vessel_map
 
 OPERATOR_TOKEN = "operator-0123456789"
 VIEWER_TOKEN = "viewer-0123456789ab"
-SERVER = {"operator_token": OPERATOR_TOKEN, "viewer_token": VIEWER_TOKEN, "port": 0, "hand_port": 0}
+CHIEF_TOKEN = "chief-0123456789"
+SERVER = {
+    "operator_token": OPERATOR_TOKEN,
+    "viewer_token": VIEWER_TOKEN,
+    "chief_token": CHIEF_TOKEN,
+    "port": 0,
+    "hand_port": 0,
+}
 SETTINGS = Settings.model_validate({"server": SERVER})
 
 STATE = RigState(
@@ -53,6 +60,7 @@ STATE = RigState(
     path=(),
     latency_ms={"tick": Percentiles(0.5, 2.0)},
     rates_hz={"camera": 30.0},
+    hand={"scale": "coarse", "gain": 0.04, "messages_hz": 60.0, "poses_hz": 30.0},
     counters={"stale": 3},
     trial=None,
 )
@@ -99,6 +107,32 @@ class FakeRegistration:
         return {"accepted": True}
 
 
+class FakeCalibration:
+    def __init__(self, note: Callable[..., None]) -> None:
+        self._note = note
+
+    def state(self) -> dict[str, Any]:
+        return {"phase": "idle"}
+
+    def begin(
+        self, session: str, changes: Mapping[str, float | int], water_depth_um: float
+    ) -> dict[str, Any]:
+        self._note("begin", session, f"{dict(changes)} {water_depth_um:g}")
+        return {"phase": "waiting"}
+
+    def next(self, session: str) -> dict[str, Any]:
+        self._note("next", session)
+        return {"phase": "moving"}
+
+    def cancel(self) -> dict[str, Any]:
+        self._note("cancel")
+        return {"phase": "idle"}
+
+    def use(self, session: str) -> dict[str, Any]:
+        self._note("use", session)
+        return {"phase": "done"}
+
+
 class FakeRig:
     """Satisfies ``app.rig_port.RigPort``."""
 
@@ -127,6 +161,7 @@ class FakeRig:
         self.closing: Callable[[], None] | None = None
         self.trials = FakeTrials(self._note)
         self.registration = FakeRegistration(self._note)
+        self.calibrating = FakeCalibration(self._note)
 
     @property
     def console(self) -> "FakeRig":
@@ -156,8 +191,14 @@ class FakeRig:
     def take_lease(self, session: str, client: str) -> None:
         self._note("take_lease", session, client)
 
+    async def take_over(self, session: str, client: str) -> None:
+        self._note("take_over", session, client)
+
     def give_lease(self, session: str) -> None:
         self._note("give_lease", session)
+
+    def choose_scale(self, session: str, scale: str) -> None:
+        self._note("choose_scale", session, scale)
 
     def heartbeat(self, session: str) -> None:
         self.asked.append(("heartbeat", session))

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mrnav_server.core.errors import DeviceError, RefusedError
-from tests.app.fake_rig import OPERATOR_TOKEN, VIEWER_TOKEN, FakeRig
+from tests.app.fake_rig import CHIEF_TOKEN, OPERATOR_TOKEN, VIEWER_TOKEN, FakeRig
 
 OWN = "http://127.0.0.1:8000"
 AREA = {"center": {"frame": "vessel", "x": 200, "y": 200}, "epsilon_um": 500, "label": "clot"}
@@ -30,17 +30,24 @@ ROUTES: dict[tuple[str, str], tuple[str, Any, int]] = {
     ("GET", "/api/v1/rig"): (WATCH, None, 200),
     ("GET", "/api/v1/vessel"): (WATCH, None, 200),
     ("GET", "/api/v1/vessel.png"): (WATCH, None, 200),
+    ("GET", "/api/v1/vessel.glb"): (WATCH, None, 200),
     ("GET", "/api/v1/policies"): (WATCH, None, 200),
     ("GET", "/api/v1/critical-areas"): (WATCH, None, 200),
     ("GET", "/api/v1/critical-areas/{area_id}"): (WATCH, None, 200),
     ("POST", "/api/v1/critical-areas"): (CONTROL, AREA, 201),
     ("PUT", "/api/v1/critical-areas/{area_id}"): (CONTROL, AREA, 200),
     ("DELETE", "/api/v1/critical-areas/{area_id}"): (CONTROL, None, 204),
+    ("POST", "/api/v1/hand"): (CONTROL, {"scale": "fine"}, 200),
     ("POST", "/api/v1/mode"): (CONTROL, {"ask": "arm"}, 200),
     ("POST", "/api/v1/lease"): (CONTROL, {}, 200),
     ("DELETE", "/api/v1/lease"): (CONTROL, None, 204),
     ("GET", "/api/v1/registration"): (WATCH, None, 200),
     ("POST", "/api/v1/registration"): (CONTROL, {"auto": True}, 200),
+    ("GET", "/api/v1/calibration"): (WATCH, None, 200),
+    ("POST", "/api/v1/calibration/begin"): (CONTROL, {"water_depth_um": 0.0}, 200),
+    ("POST", "/api/v1/calibration/next"): (CONTROL, None, 200),
+    ("POST", "/api/v1/calibration/cancel"): (CONTROL, None, 200),
+    ("POST", "/api/v1/calibration/use"): (CONTROL, None, 200),
     ("GET", "/api/v1/trials"): (WATCH, None, 200),
     ("POST", "/api/v1/trials"): (CONTROL, TRIAL, 201),
     ("GET", "/api/v1/trials/{trial_id}"): (WATCH, None, 200),
@@ -79,15 +86,15 @@ def test_the_matrix_knows_every_route(app: FastAPI) -> None:
 
 @pytest.mark.parametrize(
     ("method", "template", "token"),
-    [(*route, token) for route in ROUTES for token in ("", "wrong", "viewer", "operator")]
+    [(*route, token) for route in ROUTES for token in ("", "wrong", "viewer", "operator", "chief")]
     + [(*route, token) for route in STREAMED for token in ("", "wrong")],
 )
 async def test_route_and_role(client: httpx.AsyncClient, method: str, template: str, token: str) -> None:
     needs, body, success = ROUTES.get((method, template), (WATCH, None, 200))
-    tokens = {"viewer": VIEWER_TOKEN, "operator": OPERATOR_TOKEN, "wrong": "x" * 20}
+    tokens = {"viewer": VIEWER_TOKEN, "operator": OPERATOR_TOKEN, "chief": CHIEF_TOKEN, "wrong": "x" * 20}
     headers = bearer(tokens[token]) if token else {}
     answer = await client.request(method, path_of(template), json=body, headers=headers)
-    if needs == OPEN or token == "operator" or (token == "viewer" and needs == WATCH):
+    if needs == OPEN or token in ("operator", "chief") or (token == "viewer" and needs == WATCH):
         assert answer.status_code == success, answer.text
     else:
         status, code = (403, "forbidden") if token == "viewer" else (401, "unauthenticated")
@@ -245,6 +252,24 @@ async def test_the_lease_goes_to_the_session_that_asks(client: httpx.AsyncClient
     ]
     bad = await client.post("/api/v1/lease", json={}, headers=operator | {"X-MRNAV-Session": "a b"})
     assert (bad.status_code, bad.json()["code"]) == (400, "bad_session")
+
+
+async def test_an_operator_takes_control_from_nobody(client: httpx.AsyncClient, rig: FakeRig) -> None:
+    for token in (VIEWER_TOKEN, OPERATOR_TOKEN):
+        answer = await client.post("/api/v1/lease", json={"force": True}, headers=bearer(token))
+        assert (answer.status_code, answer.json()["code"]) == (403, "forbidden")
+    assert rig.asked == []
+    body = {"force": True, "client": "chief"}
+    answer = await client.post("/api/v1/lease", json=body, headers=bearer(CHIEF_TOKEN))
+    assert (answer.status_code, answer.json()) == (200, {"session": "chief"})
+    assert rig.asked == [("take_over", "chief", "chief")]
+
+
+async def test_a_session_of_another_role_is_not_acted_for(client: httpx.AsyncClient, rig: FakeRig) -> None:
+    claimed = bearer(OPERATOR_TOKEN) | {"X-MRNAV-Session": "chief"}
+    await client.post("/api/v1/mode", json={"ask": "arm"}, headers=claimed)
+    await client.post("/api/v1/mode", json={"ask": "stop"}, headers=claimed)
+    assert rig.asked == [("arm", "operator", ""), ("stop_now", "operator")]
 
 
 AREA_TEXT = '{"center":{"frame":"vessel","x":%s,"y":200},"epsilon_um":%s,"label":""}'

@@ -54,6 +54,7 @@ STATE = RigState(
     path=((300.0, 450.0), (310.5, 460.5)),
     latency_ms={name: Percentiles(1.0, 2.0) for name in ("hand_to_command", "frame_to_twin", "tick")},
     rates_hz={"camera": 30.0, "hand": 60.0, "hand_poses": 30.0, "tick": 100.0},
+    hand={"scale": "fine", "gain": 0.01, "messages_hz": 60.0, "poses_hz": 30.0},
     counters={"non_finite": 0, "hand_stale": 3},
     trial="20261122-174500-001-P01",
 )
@@ -90,6 +91,8 @@ def test_a_state_has_the_documented_fields_in_their_units() -> None:
         "tip_um",
         "setpoint_um",
         "tip_px",
+        "tip_seen_px",
+        "tip_off_um",
         "robot_um",
         "robot_px",
         "robot_vessel_px",
@@ -110,6 +113,7 @@ def test_a_state_has_the_documented_fields_in_their_units() -> None:
         "path",
         "latency_ms",
         "rates_hz",
+        "hand",
         "counters",
         "trial",
     }
