@@ -14,6 +14,13 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 VENDORED = {
+    "three/build/three.module.js": "three/three.module.js",
+    "three/build/three.core.js": "three/three.core.js",
+    "three/examples/jsm/controls/OrbitControls.js": "three/addons/controls/OrbitControls.js",
+    "three/examples/jsm/loaders/GLTFLoader.js": "three/addons/loaders/GLTFLoader.js",
+    "three/examples/jsm/utils/BufferGeometryUtils.js": "three/addons/utils/BufferGeometryUtils.js",
+    "three/examples/jsm/utils/SkeletonUtils.js": "three/addons/utils/SkeletonUtils.js",
+    "three/LICENSE": "three/LICENSE",
     "uplot/dist/uPlot.esm.js": "uplot/uPlot.esm.js",
     "uplot/dist/uPlot.min.css": "uplot/uPlot.min.css",
     "uplot/LICENSE": "uplot/LICENSE",

@@ -15,7 +15,7 @@ from mrnav_server.cli.emulate import emulate
 from mrnav_server.cli.evaluate import evaluate
 from mrnav_server.cli.figure import curves, discount, trajectories
 from mrnav_server.cli.map import models
-from mrnav_server.cli.operate import operate
+from mrnav_server.cli.operator import operator
 from mrnav_server.cli.policy import policies
 from mrnav_server.cli.register import register
 from mrnav_server.cli.report import report
@@ -29,7 +29,7 @@ _EXTRAS = {"gymnasium": "train", "matplotlib": "study", "skimage": "vessels"}
 """Packages that only some commands need, and the extra that brings them."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
-for command in (serve, stop, demo, operate, doctor, train, sweep, evaluate, report, bench, register):
+for command in (serve, stop, demo, operator, doctor, train, sweep, evaluate, report, bench, register):
     app.command()(command)
 app.add_typer(models, name="map")
 app.add_typer(policies, name="policy")
