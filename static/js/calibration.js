@@ -15,7 +15,7 @@ const ROW = 18;
 const LEFT = 112;
 const RIGHT = 248;
 /** @type {Record<string, string>} */
-const LABEL = { idle: "Begin", waiting: "It is prepared: go on", moving: "Moving…", stopping: "Stopping…", done: "Use this calibration" };
+const LABEL = { idle: "Begin", waiting: "Prepared: go on", moving: "Moving…", stopping: "Stopping…", done: "Use this calibration" };
 
 export class Calibration {
   #card = byId("calibration", HTMLDetailsElement);

@@ -17,6 +17,7 @@ CHROMIUM = next(
 FLAGS = [
     "--no-sandbox",
     "--disable-gpu",
+    "--disable-3d-apis",  # drawn by software, the twin would take the server's cores
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",

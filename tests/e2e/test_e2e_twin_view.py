@@ -14,14 +14,19 @@ from tests.e2e.test_e2e_dashboard import CHROMIUM, FLAGS, PATIENCE_MS
 from tests.rig_process import RigProcess
 
 pytestmark = pytest.mark.browser
-BY_SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+NO_3D = "--disable-3d-apis"
+BY_SOFTWARE = [flag for flag in FLAGS if flag != NO_3D] + [
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
 
 
 @pytest.fixture
 def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
     os.environ["no_proxy"] = "127.0.0.1"
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, *request.param])
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=request.param)
         yield browser
         browser.close()
 
@@ -64,7 +69,7 @@ def test_the_twin_is_drawn_and_follows_the_areas(rig_process: RigProcess, browse
     assert np.abs(picture(page).astype(int) - plain).mean() > 5.0
 
 
-@pytest.mark.parametrize("browser", [["--disable-3d-apis"]], indirect=True, ids=["no-webgl"])
+@pytest.mark.parametrize("browser", [FLAGS], indirect=True, ids=["no-webgl"])
 def test_without_webgl_the_card_says_so_and_the_page_works(rig_process: RigProcess, browser: Browser) -> None:
     page = opened(browser, rig_process)
     expect(page.get_by_test_id("twin-view")).to_have_attribute("data-state", "missing", timeout=PATIENCE_MS)
