@@ -1,6 +1,7 @@
 """A tip that disobeys is found in time, and one that obeys through a slow line never looks like it."""
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
@@ -140,7 +141,8 @@ def test_a_device_that_rests_beside_its_target_is_a_fault(
     rig.clutch = False
     rig.advance(0.3)
     assert rig.is_in(Mode.FAULT)
-    assert "50 µm" in rig.control.machine.reason
+    # Told while the magnet still comes to rest, or afterwards.
+    assert re.search(r"Y axis is (4\d|50) µm off|50 µm from its target", rig.control.machine.reason)
     assert "Y axis" in rig.control.machine.reason
 
 
