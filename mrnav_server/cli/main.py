@@ -15,6 +15,7 @@ from mrnav_server.cli.emulate import emulate
 from mrnav_server.cli.evaluate import evaluate
 from mrnav_server.cli.figure import curves, discount, trajectories
 from mrnav_server.cli.map import models
+from mrnav_server.cli.measure import measure
 from mrnav_server.cli.operator import operator
 from mrnav_server.cli.policy import policies
 from mrnav_server.cli.register import register
@@ -22,6 +23,7 @@ from mrnav_server.cli.report import report
 from mrnav_server.cli.serve import serve
 from mrnav_server.cli.stop import stop
 from mrnav_server.cli.sweep import sweep
+from mrnav_server.cli.track import track
 from mrnav_server.cli.train import train
 from mrnav_server.core.errors import ConfigError, MrnavError
 
@@ -29,12 +31,13 @@ _EXTRAS = {"gymnasium": "train", "matplotlib": "study", "skimage": "vessels"}
 """Packages that only some commands need, and the extra that brings them."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
-for command in (serve, stop, demo, operator, doctor, train, sweep, evaluate, report, bench, register):
+for command in (serve, stop, demo, operator, doctor, train, sweep, evaluate, report, bench, register, track):
     app.command()(command)
 app.add_typer(models, name="map")
 app.add_typer(policies, name="policy")
 app.add_typer(calibrate, name="calibrate")
 app.add_typer(emulate, name="emulate")
+app.add_typer(measure, name="measure")
 figures = typer.Typer(no_args_is_help=True, help="The figures of the learning results (simulated).")
 for figure in (curves, trajectories, discount):
     figures.command()(figure)

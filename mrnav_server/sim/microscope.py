@@ -70,6 +70,9 @@ class Microscope:
         calibration: Where things appear.
         seed: Seeds the texture and the noise.
         optics: The camera's exact optics, where ``calibration`` is only near to them.
+
+    Raises:
+        ConfigError: If the optics fold the vessel over.
     """
 
     def __init__(
@@ -84,6 +87,8 @@ class Microscope:
     ) -> None:
         self._rng = np.random.default_rng(seed)
         self._view: View = optics or calibration
+        if optics is not None:
+            optics.refuse_fold(vessel.size_px)
         width, height = picture.width_px, picture.height_px
         # Unsigned noise around this level; everything painted is lowered by it first.
         offset = round(4 * config.noise)

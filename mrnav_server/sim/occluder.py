@@ -8,7 +8,7 @@ import numpy as np
 from mrnav_server.core.arrays import ByteArray, Float32Array, FloatArray
 from mrnav_server.core.frames import Calibration, ImagePoint, StagePoint
 from mrnav_server.sim.optics import View
-from mrnav_server.sim.sprites import Region, blend, to_bytes
+from mrnav_server.sim.sprites import Region, blend
 
 _CELL_PX = 8
 """The occluder is out of focus over tens of pixels, so its opacity is computed on cells of this side."""
@@ -17,6 +17,8 @@ _NICKEL = (44.0, 88.0)
 _STEEL = (78.0, 150.0)
 _PROBE_UM = 50.0
 """Length of axis from which its direction in the image is taken."""
+_CLEAR = 254.5
+"""Cells that let this much through of 255 hide nothing."""
 _STRIP_CELLS = 20
 """Column strips hug an oblique needle: far fewer pixels than its bounding box."""
 
@@ -84,20 +86,24 @@ class Occluder:
         seen = self._opacity(tip)
         if seen is None:
             return []
-        (row0, column0), clear, color = seen
+        (row0, column0), cells = seen
+        _, height, width = cells.shape
+        hides = cells[0] < _CLEAR
+        # A cell reaches half a cell into its neighbours, also those of the next strip.
+        hides = hides[:, :-2] | hides[:, 1:-1] | hides[:, 2:]
+        starts = range(0, width - 2, _STRIP_CELLS)
+        rows = np.logical_or.reduceat(hides, starts, axis=1)
+        firsts, lasts = rows.argmax(axis=0).tolist(), rows[::-1].argmax(axis=0).tolist()
         touched: list[Region] = []
-        for start in range(0, clear.shape[1] - 2, _STRIP_CELLS):
-            strip = slice(start, min(start + _STRIP_CELLS + 2, clear.shape[1]))
-            rows = np.flatnonzero(clear[:, strip].min(axis=1) < 255)
-            if not rows.size:
+        for index, start in enumerate(starts):
+            first, last = max(firsts[index] - 1, 0), min(height - lasts[index] + 1, height)
+            if not rows[firsts[index], index]:
                 continue
-            cells = (slice(max(rows[0] - 1, 0), min(rows[-1] + 2, clear.shape[0])), strip)
-            region = self._region(
-                row0 + cells[0].start, row0 + cells[0].stop, column0 + start, column0 + strip.stop
-            )
+            strip = slice(start, min(start + _STRIP_CELLS + 2, width))
+            region = self._region(row0 + first, row0 + last, column0 + start, column0 + strip.stop)
             pixels = scene[region]
             if pixels.size:
-                blend(pixels, _enlarge(clear[cells], pixels), _enlarge(color[cells], pixels))
+                blend(pixels, _enlarge(cells[:, first:last, strip], pixels))
                 touched.append(region)
         return touched
 
@@ -120,8 +126,8 @@ class Occluder:
             slice(column0 * _CELL_PX, min((column1 - 2) * _CELL_PX, width)),
         )
 
-    def _opacity(self, tip: StagePoint) -> tuple[tuple[int, int], ByteArray, ByteArray] | None:
-        """Return the first cell, the share of light let through and the own colour, on cells."""
+    def _opacity(self, tip: StagePoint) -> tuple[tuple[int, int], Float32Array] | None:
+        """Return the first cell, and the share of light let through and the own gray on cells, 0..255."""
         distance_um = self._calibration.working_distance_um
         height_um = self._calibration.height_um(tip)
         depth_um = distance_um - height_um
@@ -149,13 +155,17 @@ class Occluder:
         x, y = self._x[None, columns] - np.float32(origin.x_px), self._y[rows, None] - np.float32(origin.y_px)
         cos, sin = np.float32(axis.direction[0]), np.float32(axis.direction[1])
         across = cos * y - sin * x
-        clear, color = np.full(across.shape, 255, np.uint8), np.zeros(across.shape, np.uint8)
+        cells = np.zeros((2, *across.shape), np.float32)
+        cells[0] = 255.0
+        along = cos * x + sin * y
         # An oblique needle touches few of the cells around it; the rods cost far more than finding them.
-        near = np.flatnonzero(np.abs(across) < np.float32(reach_px))
-        across = across.ravel()[near]
-        along = (cos * x + sin * y).ravel()[near]
+        reach = axis.width_px(along, self._shape.needle_diameter_um)
+        foot_px = np.float32(axis.along_px(half_um) + reach_px)
+        reach[along < foot_px] = axis.reach_px(half_um, self._shape.magnet_diameter_um)
+        near = np.flatnonzero(np.abs(across) < reach)
+        across, along = across.ravel()[near], along.ravel()[near]
         magnet, magnet_gray = np.zeros_like(along), np.zeros_like(along)
-        end = np.flatnonzero(along < np.float32(axis.along_px(half_um) + reach_px))
+        end = np.flatnonzero(along < foot_px)
         magnet[end], magnet_gray[end] = axis.rod(
             along[end], across[end], (-half_um, half_um), self._shape.magnet_diameter_um, _NICKEL
         )
@@ -165,9 +175,9 @@ class Occluder:
         through = (1.0 - magnet) * (1.0 - needle)
         gray: Float32Array = magnet_gray * magnet * (1.0 - needle) + needle_gray * needle
         gray -= np.float32(self._offset) * (1.0 - through)
-        clear.ravel()[near] = to_bytes(255.0 * through)
-        color.ravel()[near] = to_bytes(np.maximum(gray, np.float32(0.0)))
-        return (rows.start, columns.start), clear, color
+        cells[0].ravel()[near] = 255.0 * through
+        cells[1].ravel()[near] = np.maximum(gray, np.float32(0.0))
+        return (rows.start, columns.start), cells
 
     def _cells_near(
         self, origin: ImagePoint, axis: "_Axis", low_um: float, high_um: float
@@ -215,6 +225,15 @@ class _Axis:
         zoom = self.distance_um / max(self.depth_um - length_um * self.rise, 0.2 * self.distance_um)
         return self.px_per_um * (zoom * diameter_um / 2.0 + (zoom - 1.0) * self.pupil_um / 2.0) + 3 * _CELL_PX
 
+    def width_px(self, along: Float32Array, diameter_um: float) -> Float32Array:
+        """Return how far a rod reaches to either side, with a cell to spare: its zoom grows evenly."""
+        zoom = np.float32(self.distance_um / self.depth_um) * (
+            1.0 + along * np.float32(self.rise / self.gain_px)
+        )
+        spread = np.maximum((zoom - 1.0) * np.float32(0.5 * self.pupil_um * self.px_per_um), 1.5 * _CELL_PX)
+        width: Float32Array = spread + zoom * np.float32(0.5 * diameter_um * self.px_per_um) + _CELL_PX
+        return width
+
     def rod(
         self,
         along: Float32Array,
@@ -238,8 +257,11 @@ class _Axis:
         side = across / half
         cap = half * np.float32(self.rise) * np.sqrt(np.maximum(np.float32(0.0), 1.0 - side * side))
         low, high = np.float32(self.along_px(low_um)), np.float32(self.along_px(high_um))
-        opacity = _through_pupil((across + half) * blur) - _through_pupil((across - half) * blur)
-        opacity *= _through_pupil((along - low + cap) * blur) - _through_pupil((along - high - cap) * blur)
+        # All four edges in one array: so few cells cost less than the calls.
+        edges = np.stack([across + half, across - half, along - low + cap, along - high - cap])
+        edges *= blur
+        left, right, foot, head = _through_pupil(edges)
+        opacity = (left - right) * (foot - head)
         # Defocus widens and weakens the sheen as it does the outline.
         spread = np.sqrt(half * half + radius * radius)
         sheen = np.maximum(np.float32(0.0), 1.0 - ((across / spread + 0.25) / np.float32(0.7)) ** 2)
@@ -248,16 +270,23 @@ class _Axis:
         return opacity, gray
 
 
-def _enlarge(cells: ByteArray, pixels: ByteArray) -> ByteArray:
-    """Return cells at the size of the pixels that they show, without the margin of one cell."""
-    size = (cells.shape[1] * _CELL_PX, cells.shape[0] * _CELL_PX)
-    large = cv2.resize(cells, size, interpolation=cv2.INTER_LINEAR)
+def _enlarge(cells: Float32Array, pixels: ByteArray) -> ByteArray:
+    """Return cells, shape (2, rows, columns), at the size of the pixels that they show, without margin."""
+    # Both pictures at once, one under the other: their margins keep them apart.
+    _, rows, columns = cells.shape
+    both = cells.reshape(2 * rows, columns)
+    large = cv2.resize(both, (columns * _CELL_PX, 2 * rows * _CELL_PX), interpolation=cv2.INTER_LINEAR)
     height, width = pixels.shape[:2]
-    return large[_CELL_PX : _CELL_PX + height, _CELL_PX : _CELL_PX + width].astype(np.uint8, copy=False)
+    sprite = cv2.convertScaleAbs(large).reshape(2, rows * _CELL_PX, columns * _CELL_PX)
+    return sprite[:, _CELL_PX : _CELL_PX + height, _CELL_PX : _CELL_PX + width].astype(np.uint8, copy=False)
 
 
 def _through_pupil(t: Float32Array) -> Float32Array:
     """Return the share of a disc of radius 1 on one side of a line at distance t (a cubic, within 0.02)."""
     t = np.minimum(np.maximum(t, np.float32(-1.0)), np.float32(1.0))
-    share: Float32Array = np.float32(0.5) + t * (np.float32(0.75) - np.float32(0.25) * t * t)
+    share: Float32Array = t * t
+    share *= np.float32(-0.25)
+    share += np.float32(0.75)
+    share *= t
+    share += np.float32(0.5)
     return share

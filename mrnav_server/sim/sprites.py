@@ -3,28 +3,24 @@
 import cv2
 import numpy as np
 
-from mrnav_server.core.arrays import ByteArray, Float32Array, FloatArray
+from mrnav_server.core.arrays import ByteArray, Float32Array
 from mrnav_server.core.frames import ImagePoint
 
 Region = tuple[slice, slice]
 """Rows and columns of the picture that a sprite has touched."""
 
 
-def blend(pixels: ByteArray, clear: ByteArray, own: ByteArray) -> None:
+def blend(pixels: ByteArray, sprite: ByteArray) -> None:
     """Dim pixels to the share of light let through, and add a sprite's own gray, in place.
 
     Args:
         pixels: Shape (h, w, 3), uint8.
-        clear: Share of light let through, 0..255, shape (h, w), uint8.
-        own: The sprite's gray times its opacity, shape (h, w), uint8.
+        sprite: Share of light let through, 0..255, and the sprite's gray times its opacity, shape
+            (2, h, w), uint8.
     """
+    clear, own = sprite
     cv2.multiply(pixels, cv2.cvtColor(clear, cv2.COLOR_GRAY2BGR), pixels, 1.0 / 255.0)
     cv2.add(pixels, cv2.cvtColor(own, cv2.COLOR_GRAY2BGR), pixels)
-
-
-def to_bytes(values: Float32Array | FloatArray) -> ByteArray:
-    """Round values, which must lie in 0..255."""
-    return (values + np.float32(0.5)).astype(np.uint8)
 
 
 class SphereSprite:
@@ -54,26 +50,45 @@ class SphereSprite:
         x = (columns - np.float32(center.x_px - column)) * unit
         y = (rows - np.float32(center.y_px - row)) * unit
         region = (slice(y0, y1), slice(x0, x1))
-        blend(scene[region], *self._look(x, y, radius_px))
+        blend(scene[region], self._look(x, y, radius_px))
         return region
 
-    def _look(self, x: Float32Array, y: Float32Array, radius_px: float) -> tuple[ByteArray, ByteArray]:
-        """Return the share of light let through and the own gray, on coordinates of unit radius."""
+    def _look(self, x: Float32Array, y: Float32Array, radius_px: float) -> ByteArray:
+        """Return the share of light let through and the own gray, on coordinates of unit radius.
+
+        Args:
+            x: Shape (1, w).
+            y: Shape (h, 1).
+            radius_px: How many pixels the unit is.
+        """
+        depth = (1.0 - np.float32(1.2**-2) * (x - 0.16) ** 2) - np.float32(1.2**-2) * (y - 0.2) ** 2
+        np.maximum(depth, np.float32(0.0), out=depth)
+        sprite = np.zeros((2, *depth.shape), np.float32)
+        # The shadow reaches further than the sphere.
+        soft = np.float32(2.2 * self._blur_px / radius_px)
+        rows, columns = (_within(axis.ravel(), 1.0 + float(soft)) for axis in (y, x))
+        x, y = x[:, columns], y[rows]
         square = x * x + y * y
-        cover: Float32Array = np.clip(
-            (1.0 - np.sqrt(square)) * np.float32(radius_px / (2.2 * self._blur_px)) + 0.5,
-            np.float32(0.0),
-            np.float32(1.0),
-        )
+        cover = (1.0 - np.sqrt(square)) / soft
+        cover += np.float32(0.5)
+        np.minimum(np.maximum(cover, np.float32(0.0), out=cover), np.float32(1.0), out=cover)
         cover *= cover * (3.0 - 2.0 * cover)
-        gray = 40.0 * np.sqrt(np.maximum(np.float32(0.0), 1.0 - square)) - (10.2 * x + 13.6 * y)
+        gray = (np.float32(27.0 - self._offset) - 10.2 * x) - 13.6 * y
+        gray += 40.0 * np.sqrt(np.maximum(np.float32(0.0), 1.0 - square))
         gray += 150.0 * _bell(x + 0.29, 0.14) * _bell(y + 0.37, 0.14)
         gray += 34.0 * _bell(x - 0.38, 0.25) * _bell(y - 0.34, 0.25)
-        gray += np.float32(27.0 - self._offset)
-        depth = np.maximum(np.float32(0.0), 1.0 - ((x - 0.16) ** 2 + (y - 0.2) ** 2) / np.float32(1.2**2))
-        shadow = np.float32(0.36) * depth * depth
-        clear = (1.0 - cover) * (1.0 - shadow)
-        return to_bytes(255.0 * clear), to_bytes(np.maximum(cover * gray, np.float32(0.0)))
+        clear, own = sprite
+        np.multiply(depth, depth * np.float32(-0.36 * 255.0), out=clear)
+        clear += np.float32(255.0)
+        clear[rows, columns] *= 1.0 - cover
+        own[rows, columns] = np.maximum(cover * gray, np.float32(0.0), out=gray)
+        sprite += np.float32(0.5)
+        return sprite.astype(np.uint8)
+
+
+def _within(axis: Float32Array, reach: float) -> slice:
+    """Return the places on an increasing axis that are no further from 0."""
+    return slice(*np.searchsorted(axis, [-reach, reach]).tolist())
 
 
 def _bell(t: Float32Array, sigma: float) -> Float32Array:

@@ -135,3 +135,44 @@ def test_the_sheet_lies_where_it_was_laid() -> None:
 def test_a_setting_out_of_range_names_itself(field: str, value: float) -> None:
     with pytest.raises(ConfigError, match=f"sim.optics.{field}"):
         replace(OpticsConfig(), **{field: value})
+
+
+def test_a_distortion_that_folds_the_vessel_over_is_refused() -> None:
+    # At 10 µm a pixel the vessel's corners lie 2.5 half diagonals off the axis; -0.1 turns back at 1.83.
+    near = SimConfig(optics=OpticsConfig(radial=-0.1), image_um_per_px=10.0, start=VesselPoint(900.0, 900.0))
+    for config, picture, folds in (
+        (near, PICTURE, True),
+        (replace(near, image_um_per_px=30.0), PICTURE, False),
+        (replace(near, optics=OpticsConfig(radial=-0.02)), PICTURE, False),
+        (replace(near, optics=OpticsConfig(radial=0.1)), PICTURE, False),
+        (near, PictureFormat(400, 300), True),
+    ):
+        found, told = optics(config, vessel(), picture), true_calibration(config, vessel(), picture)
+        magnets = config.magnets
+        if not folds:
+            Microscope(MicroscopeConfig(), picture, magnets, vessel(), told, 1, found)
+            continue
+        with pytest.raises(ConfigError, match=r"sim\.optics\.radial is -0\.1.*choose it above -0\.\d+"):
+            Microscope(MicroscopeConfig(), picture, magnets, vessel(), told, 1, found)
+
+
+@given(reach=st.floats(0.0, 6.0), angle=st.floats(0.0, 6.28))
+@settings(max_examples=50, deadline=None)
+def test_what_lies_further_out_never_appears_further_in(reach: float, angle: float) -> None:
+    exact = made(OpticsConfig(radial=-0.1))
+    center = np.array(PICTURE.center_px)
+    away = 500.0 * 30.0 * np.array([np.cos(angle), np.sin(angle)])
+    middle_um = exact.floor_um(center)
+    at = [np.append(middle_um + share * away, 0.0) for share in (reach, reach + 0.05)]
+    near, far = (np.linalg.norm(exact.image(point) - center) for point in at)
+    assert far > near
+
+
+def test_one_point_and_many_are_traced_alike() -> None:
+    exact = made(WET)
+    points = [(9000.0, 9000.0, 0.0), (2000.0, 15_000.0, 1000.0), (12_000.0, 4000.0, 12_000.0)]
+    together = exact.image(np.array(points))
+    for point, seen in zip(points, together, strict=True):
+        assert exact.image(np.array(point)) == pytest.approx(seen, abs=1e-9)
+    floor = exact.image_point(VesselPoint(900.0, 900.0))
+    assert (floor.x_px, floor.y_px) == pytest.approx(together[0], abs=1e-9)

@@ -46,6 +46,64 @@ def test_the_robot_is_measured_in_the_vessel_beside_the_needle(um_per_px: float,
     assert look.polarity == ("bright" if bright else "dark")
 
 
+def lens(
+    radius_px: float, middle: float, share: float, off: float = 0.0, halo: float = 0.0, rim: float = 45.0
+) -> ByteArray:
+    """Draw a clear sphere: a dark ring with a middle, which may be off centre, and a halo around it."""
+    y, x = np.mgrid[0:600, 0:800]
+    picture = 170.0 + 8.0 * np.sin(x / 170.0) + np.random.default_rng(1).normal(0.0, 2.0, x.shape)
+    reach = np.hypot(x - 311.3, y - 240.8)
+    picture += halo * np.exp(-(((reach - 1.12 * radius_px) / (0.05 * radius_px)) ** 2))
+    cover = 0.5 - 0.5 * np.tanh(reach - radius_px)
+    picture += (rim - picture) * cover
+    inner = np.hypot(x - 311.3 + off * radius_px, y - 240.8 + off * radius_px) - share * radius_px
+    picture += (middle - picture) * (0.5 - 0.5 * np.tanh(inner))
+    gray = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    drawn: ByteArray = cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)
+    return drawn
+
+
+@pytest.mark.parametrize("radius_px", [20.0, 33.3, 71.0])
+@pytest.mark.parametrize("share", [0.35, 0.6, 0.8])
+@pytest.mark.parametrize("middle", [170.0, 240.0])
+def test_the_bright_middle_of_a_clear_sphere_is_no_robot(
+    radius_px: float, share: float, middle: float
+) -> None:
+    look = measure_robot(lens(radius_px, middle, share), 15.0)
+    assert look.polarity == "dark"
+    assert look.radius_px == pytest.approx(radius_px, abs=0.3)
+    assert (look.center.x_px, look.center.y_px) == pytest.approx((311.3, 240.8), abs=0.2)
+
+
+@pytest.mark.parametrize("off", [-0.25, 0.2, 0.35])
+def test_a_highlight_beside_the_middle_is_no_robot(off: float) -> None:
+    look = measure_robot(lens(40.0, 250.0, 0.4, off), 15.0)
+    assert look.polarity == "dark"
+    assert look.radius_px == pytest.approx(40.0, abs=0.3)
+
+
+@pytest.mark.parametrize("radius_px", [20.0, 33.3])
+def test_a_halo_around_the_robot_is_not_its_rim(radius_px: float) -> None:
+    look = measure_robot(lens(radius_px, 45.0, 0.1, halo=45.0), 15.0)
+    assert look.polarity == "dark"
+    assert look.radius_px == pytest.approx(radius_px, abs=0.6)
+
+
+def test_a_bright_sphere_with_a_dark_middle_is_measured_at_its_rim() -> None:
+    look = measure_robot(255 - lens(33.3, 240.0, 0.6), 15.0)
+    assert look.polarity == "bright"
+    assert look.radius_px == pytest.approx(33.3, abs=0.3)
+
+
+def test_a_middle_is_not_taken_for_a_robot_whose_rim_is_hidden_in_part() -> None:
+    picture = lens(40.0, 240.0, 0.6)
+    y, x = np.mgrid[0:600, 0:800]
+    beside = (np.abs(np.arctan2(y - 240.8, x - 311.3)) < 1.4) & (np.hypot(x - 311.3, y - 240.8) > 32.0)
+    picture[beside] = 50
+    with pytest.raises(RefusedError):
+        measure_robot(picture, 15.0)
+
+
 def test_an_empty_vessel_is_refused() -> None:
     bench = Bench(15.0)
     with pytest.raises(RefusedError, match="no disc"):

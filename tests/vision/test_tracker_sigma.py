@@ -79,3 +79,42 @@ def test_what_is_hidden_makes_the_standard_deviation_grow(sightings: np.ndarray)
 def test_nothing_is_accepted_that_is_more_than_four_sigma_off(sightings: np.ndarray) -> None:
     assert np.max(sightings[:, 0] / sightings[:, 1]) < 4.0
     assert np.max(sightings[:, 0]) < 0.5
+
+
+def lit_from_one_side(shade: float, limb: float, seed: int) -> tuple[ByteArray, float, float]:
+    """Draw a sphere that brightens towards one side, or has a lit edge there; return its centre, too."""
+    y, x = np.mgrid[0:200, 0:200].astype(np.float64)
+    x_px, y_px, angle = 100.4 + 0.13 * seed % 1.0, 99.8 + 0.29 * seed % 1.0, 1.1 * seed
+    reach = np.hypot(x - x_px, y - y_px) / RADIUS_PX
+    lit = np.clip(((x - x_px) * np.cos(angle) + (y - y_px) * np.sin(angle)) / RADIUS_PX, 0.0, 1.0)
+    inside = (
+        60.0 + shade * 50.0 * lit * reach**6 + limb * 100.0 * lit * np.exp(-(((reach - 0.97) / 0.08) ** 2))
+    )
+    cover = 0.5 - 0.5 * np.tanh(0.9 * RADIUS_PX * (reach - 1.0))
+    picture = 170.0 + (inside - 170.0) * cover + np.random.default_rng(seed).normal(0.0, 3.0, x.shape)
+    gray: ByteArray = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    return gray, x_px, y_px
+
+
+def error_and_sigma(shade: float, limb: float) -> np.ndarray:
+    """Rows of true error and sigma under one light."""
+    rim = RimFit(RADIUS_PX, TrackerConfig().edge_strength, TrackerConfig().systematic_um / UM_PER_PX)
+    rows = []
+    for seed in range(24):
+        gray, x_px, y_px = lit_from_one_side(shade, limb, seed)
+        found = rim.fit(gray, x_px + 0.5, y_px - 0.4)
+        rows.append((np.hypot(found.x_px - x_px, found.y_px - y_px), found.sigma_px))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("shade", "limb"), [(0.3, 0.0), (0.6, 0.0), (1.0, 0.0), (0.0, 0.3), (0.0, 0.6)])
+def test_the_standard_deviation_covers_light_from_one_side(shade: float, limb: float) -> None:
+    rows = error_and_sigma(shade, limb)
+    assert normalised(rows) < 1.5
+    assert np.max(rows[:, 0] / rows[:, 1]) < 2.5
+
+
+def test_even_light_costs_no_confidence_in_the_place() -> None:
+    even, uneven = error_and_sigma(0.0, 0.0), error_and_sigma(1.0, 0.0)
+    assert np.median(even[:, 1]) < 1.6 * TrackerConfig().systematic_um / UM_PER_PX
+    assert np.median(uneven[:, 1]) > 2.0 * np.median(even[:, 1])
