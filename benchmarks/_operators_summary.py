@@ -68,7 +68,7 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
 def summary_table(found: dict[str, Any]) -> Table:
     """Return the summary for people."""
     table = Table(
-        title="Simulated operators, simulated rig: mean ± spread between operators (↑ higher, ↓ lower is better)",
+        title="Simulated operators and rig: mean ± spread between operators (↑ higher, ↓ lower is better)",
         title_justify="left",
     )
     table.add_column("simulated")
