@@ -5,7 +5,7 @@ from typing import Any
 from fastapi import APIRouter, Response
 
 from mrnav_server.app.context import AppContext, Context, Operator
-from mrnav_server.app.schemas import AreaBody
+from mrnav_server.app.schemas import AreaBody, OrderBody
 from mrnav_server.core.frames import VesselPoint
 from mrnav_server.core.wire_twin import area_fields
 
@@ -14,7 +14,7 @@ router = APIRouter(prefix="/critical-areas", tags=["critical areas"])
 
 @router.get("")
 async def list_areas(parts: Context) -> list[dict[str, Any]]:
-    """Return all critical areas, oldest first."""
+    """Return all critical areas, in the order of their visits."""
     return _fields(parts)
 
 
@@ -23,20 +23,27 @@ async def add_area(parts: Context, body: AreaBody, _: Operator, response: Respon
     """Mark a critical area; 409 with the reason where the robot cannot go."""
     area = parts.rig.areas.add(_center(parts, body), body.epsilon_um, body.label)
     response.headers["Location"] = f"/api/v1/critical-areas/{area.id}"
-    return area_fields(area, _active(parts))
+    return area_fields(area, _active(parts), parts.rig.areas.visited)
+
+
+@router.put("")
+async def reorder_areas(parts: Context, body: OrderBody, _: Operator) -> list[dict[str, Any]]:
+    """Change the order of the visits; 409 unless every area is named once."""
+    parts.rig.areas.reorder(body.order)
+    return _fields(parts)
 
 
 @router.get("/{area_id}")
 async def get_area(parts: Context, area_id: str) -> dict[str, Any]:
     """Return one critical area."""
-    return area_fields(parts.rig.areas.get(area_id), _active(parts))
+    return area_fields(parts.rig.areas.get(area_id), _active(parts), parts.rig.areas.visited)
 
 
 @router.put("/{area_id}")
 async def replace_area(parts: Context, area_id: str, body: AreaBody, _: Operator) -> dict[str, Any]:
     """Change a critical area; 409 with the reason where the robot cannot go."""
     area = parts.rig.areas.replace(area_id, _center(parts, body), body.epsilon_um, body.label)
-    return area_fields(area, _active(parts))
+    return area_fields(area, _active(parts), parts.rig.areas.visited)
 
 
 @router.delete("/{area_id}", status_code=204)
@@ -51,7 +58,7 @@ def _center(parts: AppContext, body: AreaBody) -> VesselPoint:
 
 def _fields(parts: AppContext) -> list[dict[str, Any]]:
     active = _active(parts)
-    return [area_fields(area, active) for area in parts.rig.areas.list()]
+    return [area_fields(area, active, parts.rig.areas.visited) for area in parts.rig.areas.list()]
 
 
 def _active(parts: AppContext) -> str | None:

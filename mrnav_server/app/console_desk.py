@@ -163,14 +163,20 @@ class ConsoleDesk:
         Raises:
             RefusedError: If a guard of AUTO fails, or somebody acted meanwhile: whoever did wins.
         """
+        active = self._control.scene.area
         if area_id is not None:
             self._control.choose_area(self._areas.get(area_id))
+        elif active is not None and active.id in self._areas.visited:
+            # Control was handed back after an arrival: on to the next area.
+            self._control.choose_area(self._areas.following(active.id) or active)
+        if self._control.scene.area != active:
+            self._areas.tell()
         self._control.check(Ask.AUTO, self._clock())
         area, robot = self._control.scene.area, self._control.scene.robot
         if area is None or robot is None:
             raise RuntimeError("the guards of AUTO let a task without a start or a goal pass")
         generation = self._control.generation
-        path = await self._navigator.plan(robot, area.center)
+        path = await self._navigator.plan(robot, area.center, area.epsilon_um)
         if self._control.generation != generation:
             raise RefusedError("overtaken", "the rig was used while the path was planned: ask again")
         self.require_lease(session)

@@ -2,9 +2,14 @@
 
 import asyncio
 import json
+import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
+from mrnav_server.autonomy.direct import ActionConfig, DirectLaw
 from mrnav_server.autonomy.follower import Follower
+from mrnav_server.autonomy.following import Law
+from mrnav_server.autonomy.grid_graph import GridGraph
 from mrnav_server.autonomy.path import PathPlanner, PlannedPath
 from mrnav_server.autonomy.policy import Policy, PolicyError
 from mrnav_server.core.frames import Calibration, VesselPoint
@@ -32,14 +37,16 @@ class Navigator:
         self._path_config = settings.path
         self._folder = find_model(settings.rig.vessel)
         self._vessel = vessel
+        self._calibration = calibration
         self._planner: PathPlanner | None = None
+        self._lengths: GridGraph | None = None
         self._policy: Policy | None = None
         self._thread = ThreadPoolExecutor(1, "planner")
         self.policy_sha256 = ""
         self._verdict = "not loaded yet"
         self.autopilot = Autopilot(
             settings.autopilot,
-            Follower(settings.follower, vessel, calibration),
+            self._law(),
             settings.limits.autonomy_speed_um_per_s,
             vessel.um_per_px,
             "autonomy is still loading",
@@ -47,33 +54,40 @@ class Navigator:
 
     def recalibrate(self, calibration: Calibration) -> None:
         """Go by another calibration; what was learnt of magnet and robot under the old one is forgotten."""
-        self.autopilot.use(Follower(self._follower_config, self._vessel, calibration))
+        self._calibration = calibration
+        self.autopilot.use(self._law())
 
     async def load(self) -> None:
         """Verify and warm up the policy and build the planner; a bad policy leaves MANUAL working."""
         await asyncio.get_running_loop().run_in_executor(self._thread, self._load)
         wanted = self._config.source == "policy"
         self.autopilot.refusal = self._verdict if wanted else ""
+        if self._config.law == "direct":
+            self.autopilot.use(self._law())
 
-    async def plan(self, start: VesselPoint, target: VesselPoint) -> PlannedPath:
-        """Plan the way to a target.
+    async def plan(
+        self, start: VesselPoint, target: VesselPoint, epsilon_um: float = math.inf
+    ) -> PlannedPath:
+        """Plan the way to a target, so near to which the robot must rest.
 
         Raises:
             RefusedError: If there is none.
         """
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._plan, start, target)
+        return await asyncio.get_running_loop().run_in_executor(
+            self._thread, self._plan, start, target, epsilon_um
+        )
 
     def prepare(self, path: PlannedPath, area: CriticalArea) -> None:
         """Have the autopilot take a path to an area; nothing moves before AUTO begins."""
         slow_um = area.epsilon_um if self._handover.announced else 0.0
-        self.autopilot.prepare(path, area.center, slow_um)
+        self.autopilot.prepare(path, area.center, slow_um, area.epsilon_um)
 
     async def plan_order(self, order: PathOrder) -> PlannedPath | None:
         """Plan what the autopilot ordered; None if there is no way off the target."""
         loop = asyncio.get_running_loop()
         if order.back_off:
             return await loop.run_in_executor(self._thread, self._plan_back_off, order)
-        return await self.plan(order.start, order.target)
+        return await self.plan(order.start, order.target, order.epsilon_um)
 
     def policy_cards(self) -> list[PolicyCard]:
         """Return the policy of this vessel model and the baseline."""
@@ -90,6 +104,10 @@ class Navigator:
         from mrnav_server.autonomy.torchscript import load_policy
 
         self._planner = PathPlanner(self._vessel, self._path_config)
+        if self._config.law == "direct":
+            self._lengths = GridGraph(self._vessel)
+            # Built once, here: later asks only read it.
+            _ = self._lengths.matrix
         try:
             self._policy = load_policy(self._folder, self._vessel)
             manifest = json.loads((self._folder / "manifest.json").read_text())
@@ -98,14 +116,30 @@ class Navigator:
         except PolicyError as error:
             self._verdict = f"the policy cannot be used: {error}"
 
-    def _plan(self, start: VesselPoint, target: VesselPoint) -> PlannedPath:
+    def _plan(self, start: VesselPoint, target: VesselPoint, epsilon_um: float) -> PlannedPath:
         policy = self._policy if self._config.source == "policy" else None
-        return self._ready_planner().plan(
-            start, target, policy, greedy=self._config.greedy, seed=self._config.seed
+        path = self._ready_planner().plan(
+            start,
+            target,
+            policy,
+            greedy=self._config.greedy,
+            seed=self._config.seed,
+            epsilon_um=epsilon_um,
+        )
+        return (
+            path if self._lengths is None else replace(path, to_go=self._lengths.field(target), fallback="")
         )
 
     def _plan_back_off(self, order: PathOrder) -> PlannedPath | None:
         return self._ready_planner().plan_back_off(order.start, order.target)
+
+    def _law(self) -> Law:
+        """Return a law that has learnt nothing yet; the follower, too, where the policy cannot be used."""
+        config = self._config
+        if config.law == "path" or self._policy is None:
+            return Follower(self._follower_config, self._vessel, self._calibration)
+        actions = ActionConfig(config.actions_per_s, config.greedy, config.seed)
+        return DirectLaw(self._follower_config, actions, self._policy, self._vessel, self._calibration)
 
     def _ready_planner(self) -> PathPlanner:
         if self._planner is None:

@@ -453,6 +453,10 @@ class Rig:
             facts = self.control.facts
             by = "arrival" if facts.arrived and not facts.clutch_closing else "takeover"
             self.herald.announce("handover", {"by": by, "distance_um": self.control.scene.distance_um})
+            if by == "arrival" and self.control.scene.area is not None:
+                self.areas.visit(self.control.scene.area.id)
+        if before is Mode.AUTO:
+            self.herald.record("learned", self.navigator.autopilot.learned)
         if after is Mode.FAULT:
             self.herald.announce("fault", {"reason": change.reason})
         if before is Mode.AUTO and self.control.scene.area not in self.areas.list():
@@ -490,8 +494,17 @@ class Rig:
             kept = areas.get(active.id) if active else None
             self.control.choose_area(kept or next(iter(areas.values()), None))
         active = self.control.scene.area
-        fields = [wire_twin.area_fields(area, active.id if active else None) for area in areas.values()]
-        self.herald.announce("areas", {"critical_areas": fields})
+        active_id, visited = active.id if active else None, self.areas.visited
+        upcoming = self.areas.following(active_id) if active_id in visited else None
+        self.herald.announce(
+            "areas",
+            {
+                "critical_areas": [
+                    wire_twin.area_fields(area, active_id, visited) for area in areas.values()
+                ],
+                "next": upcoming.id if upcoming else active_id,
+            },
+        )
 
     def _on_camera(self, fault: str) -> None:
         self._camera_fault = fault

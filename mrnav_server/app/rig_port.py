@@ -1,7 +1,7 @@
 """What the web side needs of a rig; ``app/rig.py`` gives it, tests give a small one."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from mrnav_server.core.frames import Calibration, VesselPoint
@@ -19,8 +19,15 @@ if TYPE_CHECKING:
 class Areas(Protocol):
     """The critical areas; every change may raise RefusedError with the reason."""
 
+    @property
+    def visited(self) -> frozenset[str]:
+        """Ids of the areas at which autonomy has arrived."""
+
+    def reorder(self, area_ids: Sequence[str]) -> None:
+        """Change the order of the visits."""
+
     def list(self) -> list[CriticalArea]:
-        """Return all areas, oldest first."""
+        """Return all areas, in the order of their visits."""
 
     def get(self, area_id: str) -> CriticalArea:
         """Return one area."""

@@ -35,6 +35,12 @@ class HandBody(_Body):
     scale: Literal["coarse", "fine"]
 
 
+class OrderBody(_Body):
+    """The order in which critical areas are visited: every id once."""
+
+    order: Annotated[list[Identifier], Field(max_length=100)]
+
+
 class ModeBody(_Body):
     """An ask for a mode; ``auto`` goes to a critical area."""
 

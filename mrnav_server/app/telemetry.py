@@ -141,4 +141,5 @@ class Telemetry:
             trial=trial,
             tip_seen_px=self.tip_seen().image,
             tip_off_um=self.tip_seen().off_um,
+            learned=self._autopilot.learned,
         )

@@ -12,6 +12,7 @@ from mrnav_server.autonomy.observer import Coupling
 from mrnav_server.autonomy.path import PlannedPath
 from mrnav_server.autonomy.plane import Plane
 from mrnav_server.autonomy.rail import Rail
+from mrnav_server.autonomy.take_up import TakeUp
 from mrnav_server.autonomy.watch import RobotWatch, Vector
 from mrnav_server.core.frames import Calibration, VesselPoint
 from mrnav_server.core.records import TipReading, Track
@@ -61,7 +62,13 @@ class Follower:
         self._watch.take(track, tip)
 
     def start(
-        self, path: PlannedPath, track: Track, tip: TipReading, now_s: float, handover_um: float = 0.0
+        self,
+        path: PlannedPath,
+        track: Track,
+        tip: TipReading,
+        now_s: float,
+        handover_um: float = 0.0,
+        epsilon_um: float = math.inf,
     ) -> None:
         """Begin a path; the robot may rest or move.
 
@@ -71,6 +78,7 @@ class Follower:
             tip: Where the tip is.
             now_s: The time.
             handover_um: So far from the target the operator takes over: no faster than the hand-over's speed.
+            epsilon_um: The robot must rest so near to the target.
 
         Raises:
             ValueError: If the track does not say where the robot is.
@@ -81,21 +89,21 @@ class Follower:
             self._target, self._misses = path.target, 0
         self._watch.take(track, tip)
         self._path = path
+        self._arrival_um = self._config.arrival_within_um(epsilon_um)
         self._rail = Rail(path, self._vessel, self.coupling.lead_um, self._config.speed, handover_um)
         self._status = FollowerStatus.TAKE_UP
         self._last_s = self._moved_s = now_s
-        self._began_um = self._moved_um = self._watch.seen_um
-        self._leash_um = self._watch.leash_um
-        self._lead_um = self._config.take_up_share * self.coupling.lead_um
-        self._breakaway_um = 0.0
+        self._moved_um = self._watch.seen_um
+        self._drawing = TakeUp(self._config, self._watch, self._rail)
+        self._offset_um = self.coupling.offset_um
         self._near = 0
         self._arc_um = self._cross_um = 0.0
         self._speed = self._config.take_up_um_per_s
         self._acceleration = self._velocity = (0.0, 0.0)
         self._hold_um = self._watch.hold_um
         self._back_off, self._reason = False, ""
-        near_um = math.dist(self._began_um, self._plane.point_um(path.target))
-        if near_um < self._config.arrival_um and not path.back_off:
+        near_um = math.dist(self._moved_um, self._plane.point_um(path.target))
+        if near_um < self._arrival_um and not path.back_off:
             self._arc_um = self._rail.length_um
             self._begin_settling(now_s, self._hold_um, 0.0, 0.0)
 
@@ -109,7 +117,8 @@ class Follower:
         """
         dt_s = min(max(now_s - self._last_s, 0.0), 0.05)
         self._last_s = now_s
-        rests = self._watch.take(track, tip, self._acceleration)
+        steady = self._status is not FollowerStatus.TAKE_UP
+        rests = self._watch.take(track, tip, self._acceleration, learn=steady)
         if rests and self._status is FollowerStatus.FOLLOWING:
             self._lengthen_lead()
         if self._status not in FINAL:
@@ -145,40 +154,22 @@ class Follower:
             self._follow(now_s, dt_s, robot_um)
 
     def _take_up(self, now_s: float, dt_s: float, robot_um: Vector) -> None:
-        """Draw the leash taut along the path's first tangent, slowly at last, until the robot moves."""
-        config = self._config
-        self._breakaway_um = max(
-            self._breakaway_um, min(math.hypot(*self._watch.leash_um), config.observer.lead_limit_um)
-        )
-        if math.dist(self._watch.seen_um, self._began_um) > config.moved_um:
-            self._watch.learn_lead(self._breakaway_um)
-            self._arc_um = self._near * self._rail.spacing_um
-            if self._rail.length_um - self._arc_um < config.nudge_um:
-                self._arc_um = self._rail.length_um
-                self._begin_settling(now_s, self._watch.stopping_point_um(_STOPPING_S), 0.0, 0.0)
-            else:
-                self._status = FollowerStatus.FOLLOWING
-                self._follow(now_s, dt_s, robot_um)
+        """Draw on until the robot moves; then follow the path from there."""
+        if not self._drawing.moves():
+            x_um, y_um = self._drawing.step(dt_s)
+            fx, fy = self._feedback_um(robot_um)
+            self._hold_um = (x_um + fx, y_um + fy)
+            self._velocity = self._drawing.velocity_um_per_s
             return
-        tx, ty = self._rail.tangent(0)
-        ux, uy = self._leash_um
-        dx, dy = self._lead_um * tx - ux, self._lead_um * ty - uy
-        away_um = math.hypot(dx, dy)
-        step_um = config.take_up_fast_um_per_s * dt_s
-        if away_um <= step_um + 10.0:
-            self._lead_um = min(self._lead_um + config.take_up_um_per_s * dt_s, config.observer.lead_limit_um)
-            self._leash_um = (self._lead_um * tx, self._lead_um * ty)
-            self._velocity = (config.take_up_um_per_s * tx, config.take_up_um_per_s * ty)
+        self._arc_um = self._near * self._rail.spacing_um
+        # What is left of the lead: the magnet goes on from where it is, without a leap after the robot.
+        self._lead_um = max(self._drawing.lead_um - self._arc_um, 0.0)
+        if self._rail.length_um - self._arc_um < self._config.nudge_um:
+            self._arc_um = self._rail.length_um
+            self._begin_settling(now_s, self._watch.stopping_point_um(_STOPPING_S), 0.0, 0.0)
         else:
-            hx, hy = dx / away_um, dy / away_um
-            self._leash_um = (ux + hx * step_um, uy + hy * step_um)
-            self._velocity = (config.take_up_fast_um_per_s * hx, config.take_up_fast_um_per_s * hy)
-        fx, fy = self._feedback_um(robot_um)
-        bx, by = self.coupling.offset_um
-        self._hold_um = (
-            self._began_um[0] + bx + self._leash_um[0] + fx,
-            self._began_um[1] + by + self._leash_um[1] + fy,
-        )
+            self._status = FollowerStatus.FOLLOWING
+            self._follow(now_s, dt_s, robot_um)
 
     def _follow(self, now_s: float, dt_s: float, robot_um: Vector) -> None:
         """Advance the reference and lead the robot along it."""
@@ -194,7 +185,7 @@ class Follower:
         tx, ty = rail.tangent(ahead)
         kx, ky = rail.bend_per_um(ahead)
         gx, gy = rail.point_um(self._arc_um)
-        bx, by = self.coupling.offset_um
+        bx, by = self._slew_offset(dt_s)
         fx, fy = self._feedback_um(robot_um)
         # The lead is bounded from where the robot is, so that the magnet never leaves it behind.
         px, py = gx + self._lead_um * tx + fx - robot_um[0], gy + self._lead_um * ty + fy - robot_um[1]
@@ -216,6 +207,10 @@ class Follower:
         on_path = max(0.25, 1.25 - abs(self._cross_um) / config.slow_cross_track_um)
         together = max(0.0, 1.0 - (behind_um - config.behind_um) / config.behind_span_um)
         wanted = self._rail.limit_um_per_s(self._arc_um) * min(1.0, on_path, together)
+        if self._watch.sticks:
+            # The faster the reference runs away from a robot that sticks, the further that slips afterwards;
+            # slower still, it would stick again and again.
+            wanted = min(wanted, config.sticking_um_per_s)
         return min(wanted, self._speed + config.speed_up_um_per_s2 * dt_s)
 
     def _slew_lead(self, wanted_um: float, rate_um_per_s: float, dt_s: float) -> None:
@@ -223,6 +218,14 @@ class Follower:
         wanted_um = min(wanted_um, self._config.observer.lead_limit_um)
         step_um = (self._config.lead_rate_um_per_s + rate_um_per_s) * dt_s
         self._lead_um += min(max(wanted_um - self._lead_um, -step_um), step_um)
+
+    def _slew_offset(self, dt_s: float) -> Vector:
+        """Move the offset error that the magnet makes up for towards what was learnt, and return it."""
+        (x_um, y_um), (to_x_um, to_y_um) = self._offset_um, self.coupling.offset_um
+        away_um = math.hypot(to_x_um - x_um, to_y_um - y_um)
+        share = min(1.0, self._config.offset_rate_um_per_s * dt_s / max(away_um, 1e-9))
+        self._offset_um = (x_um + share * (to_x_um - x_um), y_um + share * (to_y_um - y_um))
+        return self._offset_um
 
     def _feedback_um(self, robot_um: Vector) -> Vector:
         """Return the correction of cross-track error plus the push away from a near wall."""
@@ -258,7 +261,7 @@ class Follower:
         miss_um = math.dist(self._watch.mean_um(self._config.rest_s), self._plane.point_um(self._path.target))
         if self._path.back_off:
             self._stop(FollowerStatus.REPLAN, "there is room for a new approach")
-        elif miss_um < self._config.arrival_um:
+        elif miss_um < self._arrival_um:
             self._stop(FollowerStatus.ARRIVED, f"the robot rests {miss_um:.0f} µm from the target")
         elif self._misses + 1 >= self._config.most_misses:
             self._stop(FollowerStatus.STUCK, f"the target was missed {self._config.most_misses} times")
@@ -276,12 +279,13 @@ class Follower:
 
     def _wish(self) -> FollowerWish:
         left_um = self._rail.length_um - self._arc_um
+        until_moving_s = self._drawing.left_s if self._status is FollowerStatus.TAKE_UP else 0.0
         return FollowerWish(
             self._status,
             self._plane.tip_um(self._hold_um),
             self._plane.tip_velocity_um_per_s(self._velocity),
             left_um,
-            self._rail.time_to_handover_s(self._arc_um),
+            until_moving_s + self._rail.time_to_handover_s(self._arc_um),
             self._cross_um,
             self._back_off,
             self._reason,

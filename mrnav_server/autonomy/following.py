@@ -1,11 +1,18 @@
 """What the follower is told and what it answers: gains, status and wish."""
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Protocol
 
-from mrnav_server.autonomy.observer import ObserverConfig
+from mrnav_server.autonomy.observer import Coupling, ObserverConfig
+from mrnav_server.autonomy.path import PlannedPath
 from mrnav_server.autonomy.profile import SpeedConfig
 from mrnav_server.autonomy.watch import Vector
+from mrnav_server.core.records import TipReading, Track
+
+_WITHIN = 0.95
+"""Whoever shall rest inside a circle aims for this share of its radius: the camera's robot is not exact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +30,16 @@ class FollowerConfig:
         behind_um: The reference slows down when the robot is further behind than this, in µm (100–1000).
         behind_span_um: It stands still when the robot is this much further behind, in µm (100–1000).
         preview_s: The lead points along the tangent that comes after this time (0–0.1).
+        sticking_um_per_s: Speed of the reference while the robot sticks (800–3000).
         speed_up_um_per_s2: Largest acceleration of the reference after a slow-down (3000–20000).
         lead_rate_um_per_s: Rate at which the lead changes, beside half the speed (200–5000).
+        offset_rate_um_per_s: Rate at which a newly learnt offset error moves the magnet (200–5000).
         take_up_share: Share of the lead that is taken up fast, before the robot can break away (0–0.9).
         take_up_fast_um_per_s: Speed of that (500–4000).
         take_up_um_per_s: Speed from there until the robot moves (200–1500).
+        take_up_first_um_per_s: Speed of all of it as long as little was learnt: nobody knows yet which way
+            the robot will break away (500–1500).
+        learnt_looks: So many camera frames of a moving robot have to be seen before much was learnt (0–100).
         moved_um: The robot has broken away when it is seen to have moved this far, in µm (20–100).
         nudge_um: A path with less than this left after break-away is done, in µm (0–500).
         off_path_um: Cross-track error that asks for a new path, in µm (300–1500).
@@ -52,11 +64,15 @@ class FollowerConfig:
     behind_um: float = 300.0
     behind_span_um: float = 400.0
     preview_s: float = 0.02
+    sticking_um_per_s: float = 1500.0
     speed_up_um_per_s2: float = 9000.0
     lead_rate_um_per_s: float = 1200.0
+    offset_rate_um_per_s: float = 1000.0
     take_up_share: float = 0.6
     take_up_fast_um_per_s: float = 2500.0
     take_up_um_per_s: float = 600.0
+    take_up_first_um_per_s: float = 1200.0
+    learnt_looks: int = 15
     moved_um: float = 33.0
     nudge_um: float = 200.0
     off_path_um: float = 500.0
@@ -67,6 +83,10 @@ class FollowerConfig:
     lost_after_s: float = 0.3
     stuck_after_s: float = 5.0
     most_misses: int = 6
+
+    def arrival_within_um(self, epsilon_um: float) -> float:
+        """Return how near to its target the robot must rest, given the critical area's radius."""
+        return min(self.arrival_um, _WITHIN * epsilon_um)
 
 
 class FollowerStatus(Enum):
@@ -112,3 +132,28 @@ class FollowerWish:
     cross_track_um: float
     back_off: bool = False
     reason: str = ""
+
+
+class Law(Protocol):
+    """How the robot is brought to a target: `Follower`, or `DirectLaw` as the published system does it."""
+
+    @property
+    def coupling(self) -> Coupling:
+        """Return what has been learnt about magnet and robot."""
+
+    def watch(self, track: Track | None, tip: TipReading) -> None:
+        """Learn from motion that someone else commands."""
+
+    def start(
+        self,
+        path: PlannedPath,
+        track: Track,
+        tip: TipReading,
+        now_s: float,
+        handover_um: float = 0.0,
+        epsilon_um: float = math.inf,
+    ) -> None:
+        """Begin a path, with the robot in sight."""
+
+    def step(self, now_s: float, track: Track | None, tip: TipReading) -> FollowerWish:
+        """Return where the tip should be now."""

@@ -18,6 +18,31 @@ ATTACH_CELLS = 3
 """A point joins the graph through the nodes that it sees within this many cells."""
 
 
+class DistanceField:
+    """How far a target is from everywhere in the free space, along the shortest way.
+
+    Args:
+        nodes_px: The graph's nodes, shape (n, 2).
+        distances_px: From each to the target, shape (n,).
+        cell_px: Grid spacing of the nodes.
+    """
+
+    def __init__(self, nodes_px: IntArray, distances_px: FloatArray, cell_px: int) -> None:
+        column, row = (nodes_px // cell_px).T
+        size = int(max(column.max(), row.max())) + 1
+        self._cell_px = cell_px
+        self._field_px = np.full((size + 2, size + 2), np.inf)
+        self._field_px[row + 1, column + 1] = distances_px
+
+    def at_px(self, x_px: float, y_px: float) -> float:
+        """Return the distance from a point, to within a cell; inf where no node is near."""
+        top = len(self._field_px) - 2
+        i = min(max(int(x_px // self._cell_px) + 1, 1), top)
+        j = min(max(int(y_px // self._cell_px) + 1, 1), top)
+        here_px = float(self._field_px[j, i])
+        return here_px if np.isfinite(here_px) else float(self._field_px[j - 1 : j + 2, i - 1 : i + 2].min())
+
+
 class GridGraph:
     """Nodes every few pixels of the free space, edges between near nodes that see each other.
 
@@ -105,6 +130,10 @@ class GridGraph:
             Shape (n,), in cost-weighted pixels (plain pixels at clearance_weight 0); inf if cut off.
         """
         return self._search(target)[0]
+
+    def field(self, target: VesselPoint) -> DistanceField:
+        """Return how far the target is from everywhere; see `distances_px`."""
+        return DistanceField(self.nodes_px, self.distances_px(target), self._cell_px)
 
     def path(self, start: VesselPoint, end: VesselPoint) -> FloatArray:
         """Return the shortest path between two points.

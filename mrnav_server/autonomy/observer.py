@@ -47,10 +47,20 @@ class Coupling:
     Attributes:
         offset_um: Error b̂ of the calibrated magnet offset, along the vessel's x and y, in µm.
         lead_um: Friction lead L̂: how far the hold point runs ahead of a slowly moving robot, in µm.
+        looks: Camera frames of a moving robot from which both were learnt.
     """
 
     offset_um: tuple[float, float] = (0.0, 0.0)
     lead_um: float = 400.0
+    looks: int = 0
+
+    def described(self) -> dict[str, object]:
+        """Return it for people and logs: offset error and lead in µm, and the looks."""
+        return {
+            "offset_um": [round(float(axis_um), 1) for axis_um in self.offset_um],
+            "friction_lead_um": round(float(self.lead_um), 1),
+            "looks": self.looks,
+        }
 
 
 def observed(
@@ -83,10 +93,17 @@ def observed(
     kept = (1.0 - config.offset_gain_along) * along
     bx += config.offset_gain * (zx - kept * hx)
     by += config.offset_gain * (zy - kept * hy)
-    shrink = min(1.0, config.offset_limit_um / max(math.hypot(bx, by), 1e-9))
     return Coupling(
-        (bx * shrink, by * shrink), bounded_lead_um(coupling.lead_um + config.lead_gain * along, config)
+        bounded_um((bx, by), config),
+        bounded_lead_um(coupling.lead_um + config.lead_gain * along, config),
+        coupling.looks + 1,
     )
+
+
+def bounded_um(offset_um: tuple[float, float], config: ObserverConfig) -> tuple[float, float]:
+    """Return an offset error within its bound, in µm."""
+    shrink = min(1.0, config.offset_limit_um / max(math.hypot(*offset_um), 1e-9))
+    return offset_um[0] * shrink, offset_um[1] * shrink
 
 
 def bounded_lead_um(lead_um: float, config: ObserverConfig) -> float:

@@ -1,12 +1,13 @@
 """Plans a path for the robot's centre: the policy's roll-out in the grid, or the clearance-aware geodesic."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mrnav_server.autonomy.band import clearance_field_px, smooth_path, tangents
-from mrnav_server.autonomy.grid_graph import GridGraph
+from mrnav_server.autonomy.grid_graph import DistanceField, GridGraph
 from mrnav_server.autonomy.policy import Policy, Sampler, shield
 from mrnav_server.core.arrays import FloatArray
 from mrnav_server.core.frames import VesselPoint
@@ -54,6 +55,7 @@ class PlannedPath:
         source: What proposed the route.
         fallback: Why the geodesic stands in for the policy; "" where it does not.
         back_off: Whether this path only makes room for a new approach to a target that was missed.
+        to_go: How far the target is from everywhere, for a law that does not follow the points.
     """
 
     points_px: FloatArray
@@ -62,6 +64,7 @@ class PlannedPath:
     source: Literal["policy", "geodesic"]
     fallback: str = ""
     back_off: bool = False
+    to_go: DistanceField | None = None
 
     @property
     def spacing_px(self) -> float:
@@ -102,6 +105,7 @@ class PathPlanner:
         *,
         greedy: bool = True,
         seed: int = 0,
+        epsilon_um: float = math.inf,
     ) -> PlannedPath:
         """Plan a path from the robot to a target.
 
@@ -111,6 +115,7 @@ class PathPlanner:
             policy: Who proposes the route; None asks the clearance-aware geodesic.
             greedy: Best actions with direction memory, or one draw from the policy's distribution.
             seed: Of the draw.
+            epsilon_um: The robot must rest so near to the target, which bounds how far the end is nudged.
 
         Returns:
             The path; `PlannedPath.fallback` says why if the policy did not reach the target.
@@ -118,7 +123,7 @@ class PathPlanner:
         Raises:
             RefusedError: ``no_path`` if start and target are not connected.
         """
-        end = self._end_point(target)
+        end = self._end_point(target, min(self._config.end_nudge_um, 0.5 * epsilon_um))
         if policy is None:
             return self._smooth(self._graph.path(start, end), target, "geodesic")
         route_px, failure = self._roll_out(start, end, policy, Sampler(greedy=greedy, seed=seed))
@@ -159,6 +164,8 @@ class PathPlanner:
             if float(np.hypot(*(at_px - end_px))) < ARRIVAL_PX:
                 return np.array([*route, end_px]), ""
             logits = policy.logits(observation(at_px, begin_px, end_px)[None])
+            if np.isnan(logits).any():
+                return np.array(route), f"policy {policy.name} answers with what is not a number"
             action = int(sampler.choose(shield(self._vessel, at_px[None], logits))[0])
             at_px = at_px + ACTIONS[action]
             if not is_free(self._vessel.free, at_px):
@@ -189,10 +196,10 @@ class PathPlanner:
         points_px = points_px[: max(len(points_px) - coast, min(len(points_px), 4))]
         return PlannedPath(points_px, tangents(points_px), target, source, fallback, back_off)
 
-    def _end_point(self, target: VesselPoint) -> VesselPoint:
-        """Return the target, nudged away from a near wall."""
+    def _end_point(self, target: VesselPoint, nudge_um: float) -> VesselPoint:
+        """Return the target, nudged away from a near wall by no more than about ``nudge_um``."""
         wanted_px = self._vessel.robot_radius_px + self._config.end_clearance_um / self._vessel.um_per_px
-        nudge_px = self._config.end_nudge_um / self._vessel.um_per_px
+        nudge_px = nudge_um / self._vessel.um_per_px
         end = target
         for _ in range(_NUDGES):
             roomy = self._vessel.wall_distance_px(end.x_px, end.y_px) >= wanted_px

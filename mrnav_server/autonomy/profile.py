@@ -42,7 +42,7 @@ class SpeedConfig:
     handover_um_per_s: float = 1200.0
     wall_um_per_s: float = 1500.0
     wall_clearance_um: float = 80.0
-    short_path_um: float = 3000.0
+    short_path_um: float = 1500.0
     short_cruise_um_per_s: float = 1500.0
     short_along_um_per_s2: float = 5000.0
     swing_um: float = 80.0

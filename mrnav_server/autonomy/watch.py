@@ -2,9 +2,10 @@
 
 import math
 from collections import deque
+from dataclasses import replace
 
 from mrnav_server.autonomy.leash import HoldLog
-from mrnav_server.autonomy.observer import Coupling, ObserverConfig, bounded_lead_um, observed
+from mrnav_server.autonomy.observer import Coupling, ObserverConfig, bounded_lead_um, bounded_um, observed
 from mrnav_server.autonomy.plane import Plane
 from mrnav_server.core.records import TipReading, Track
 from mrnav_server.core.vessel import VesselMap
@@ -16,6 +17,7 @@ _LONGEST_GAP_S = 0.15
 _FASTEST_UM_PER_S = 8000.0
 """Anything faster is the tracker that found the robot again elsewhere."""
 _LEAST_LEASH_UM = 10.0
+_STICKING_UM_PER_S = 300.0
 _FREE_UM = 30.0
 """A robot nearer to the wall may lean on it, and then tells nothing about the magnet."""
 
@@ -42,6 +44,7 @@ class RobotWatch:
         self._sightings: deque[tuple[float, float, float]] = deque(maxlen=32)
         self._lag_um = _STILL
         self._moving = False
+        self._speed_um_per_s = 0.0
 
     @property
     def seen_s(self) -> float:
@@ -59,18 +62,36 @@ class RobotWatch:
         return self._holds.newest_um
 
     @property
+    def sticks(self) -> bool:
+        """Whether the robot did not get on when it was last seen."""
+        return self._speed_um_per_s < _STICKING_UM_PER_S
+
+    @property
+    def lag_um(self) -> Vector:
+        """The hold point minus the robot, when the robot was last seen."""
+        return self._lag_um
+
+    @property
     def leash_um(self) -> Vector:
         """The hold point less its offset error, minus the robot, when the robot was last seen."""
         bx, by = self.coupling.offset_um
         return self._lag_um[0] - bx, self._lag_um[1] - by
 
-    def take(self, track: Track | None, tip: TipReading, acceleration_um_per_s2: Vector = _STILL) -> bool:
+    def take(
+        self,
+        track: Track | None,
+        tip: TipReading,
+        acceleration_um_per_s2: Vector = _STILL,
+        *,
+        learn: bool = True,
+    ) -> bool:
         """Take in the newest track and reading, and learn from a new sighting of a moving robot.
 
         Args:
             track: One that was seen before, or without a position, is passed over.
             tip: The newest reading.
             acceleration_um_per_s2: The robot's planned acceleration.
+            learn: Whether the robot may be taken to trail the magnet steadily, as it does not at break-away.
 
         Returns:
             Whether the robot was sighted anew and rests.
@@ -83,17 +104,36 @@ class RobotWatch:
         hold_um = self._holds.at(track.taken_s)
         self._lag_um = (hold_um[0] - robot_um[0], hold_um[1] - robot_um[1])
         self._sightings.append((track.taken_s, *robot_um))
-        self._moving = math.hypot(*velocity) > self._config.moving_um_per_s
-        if self._moving and self._vessel.clearance_um(track.vessel) > _FREE_UM:
+        self._speed_um_per_s = math.hypot(*velocity)
+        self._moving = self._speed_um_per_s > self._config.moving_um_per_s
+        if learn and self._moving and self._vessel.clearance_um(track.vessel) > _FREE_UM:
             self.coupling = observed(
                 self.coupling, self._lag_um, velocity, acceleration_um_per_s2, self._config
             )
         return not self._moving
 
+    def learn_breakaway(self, rest_lag_um: Vector, moved_um: Vector) -> None:
+        """Learn the offset error across the way on which a resting robot broke away.
+
+        It went where the magnet drew it: hold point less offset error, minus robot, points along its first
+        motion. Along it, offset error and lead look alike.
+
+        Args:
+            rest_lag_um: Hold point minus robot when it was last seen at rest.
+            moved_um: Its motion since.
+        """
+        span_um = math.hypot(*moved_um)
+        nx, ny = -moved_um[1] / span_um, moved_um[0] / span_um
+        bx, by = self.coupling.offset_um
+        across_um = (rest_lag_um[0] - bx) * nx + (rest_lag_um[1] - by) * ny
+        self.coupling = replace(
+            self.coupling, offset_um=bounded_um((bx + across_um * nx, by + across_um * ny), self._config)
+        )
+
     def learn_lead(self, breakaway_um: float) -> None:
         """Take the leash at which a resting robot broke away, or did not, for the lead of a moving one."""
         lead_um = bounded_lead_um(breakaway_um / self._config.breakaway_ratio, self._config)
-        self.coupling = Coupling(self.coupling.offset_um, lead_um)
+        self.coupling = replace(self.coupling, lead_um=lead_um)
 
     def robot_now_um(self) -> Vector:
         """Return where the robot is now: its last sighting, drawn along by the hold points since."""

@@ -31,8 +31,10 @@ _EXTRAS = {"gymnasium": "train", "matplotlib": "study", "skimage": "vessels"}
 """Packages that only some commands need, and the extra that brings them."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
-for command in (serve, stop, demo, operator, doctor, train, sweep, evaluate, report, bench, register, track):
+for command in (serve, stop, demo, operator, doctor, train, sweep, evaluate, report, register, track):
     app.command()(command)
+# What follows a benchmark's name are its own options.
+app.command(context_settings={"ignore_unknown_options": True})(bench)
 app.add_typer(models, name="map")
 app.add_typer(policies, name="policy")
 app.add_typer(calibrate, name="calibrate")

@@ -1,6 +1,6 @@
 """The critical areas that were marked: where autonomy hands over."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.frames import VesselPoint
@@ -12,7 +12,7 @@ _MOST = 100
 
 
 class CriticalAreas:
-    """Areas in the order in which they were marked.
+    """Areas in the order in which they shall be visited: as they were marked, until that is changed.
 
     Args:
         vessel: Areas must lie where the robot fits.
@@ -23,11 +23,50 @@ class CriticalAreas:
         self._vessel = vessel
         self._on_change = on_change
         self._areas: dict[str, CriticalArea] = {}
+        self._visited: set[str] = set()
         self._made = 0
 
     def list(self) -> list[CriticalArea]:
-        """Return all areas, oldest first."""
+        """Return all areas, in the order of their visits."""
         return list(self._areas.values())
+
+    @property
+    def visited(self) -> frozenset[str]:
+        """Ids of the areas at which autonomy has arrived."""
+        return frozenset(self._visited)
+
+    def visit(self, area_id: str) -> None:
+        """Note that autonomy has arrived at an area; one that was removed meanwhile is passed over."""
+        if area_id in self._areas and area_id not in self._visited:
+            self._visited.add(area_id)
+            self._on_change()
+
+    def following(self, area_id: str) -> CriticalArea | None:
+        """Return where autonomy goes after an area: the next one in order that was not visited.
+
+        After the last one it goes on with those that were left out before; None if all were visited.
+        """
+        ids = list(self._areas)
+        at = ids.index(area_id) + 1 if area_id in ids else 0
+        left = (other for other in ids[at:] + ids[:at] if other not in self._visited and other != area_id)
+        return next((self._areas[other] for other in left), None)
+
+    def tell(self) -> None:
+        """Tell everybody the areas again: another one has become the active one."""
+        self._on_change()
+
+    def reorder(self, area_ids: Sequence[str]) -> None:
+        """Change the order of the visits, and begin them anew: no area counts as visited.
+
+        Raises:
+            RefusedError: If these are not all ids, each once.
+        """
+        if sorted(area_ids) != sorted(self._areas):
+            known = ", ".join(self._areas) or "none is marked"
+            raise RefusedError("bad_order", f"name every critical area once ({known})")
+        self._areas = {area_id: self._areas[area_id] for area_id in area_ids}
+        self._visited.clear()
+        self._on_change()
 
     def get(self, area_id: str) -> CriticalArea:
         """Return one area.
@@ -70,10 +109,12 @@ class CriticalAreas:
         """
         self.get(area_id)
         del self._areas[area_id]
+        self._visited.discard(area_id)
         self._on_change()
 
     def _store(self, area: CriticalArea) -> CriticalArea:
         self._areas[area.id] = area
+        self._visited.discard(area.id)
         self._on_change()
         return area
 

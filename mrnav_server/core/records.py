@@ -1,6 +1,7 @@
 """What crosses layers. Every record carries when it was taken, on the monotonic clock."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 
 from mrnav_server.core.arrays import ByteArray
@@ -163,6 +164,8 @@ class RigState:
         trial: Id of the running trial; None without one.
         tip_seen_px: Where the tip was seen in the image at the last look; None if it was not.
         tip_off_um: How far that was from where the calibration puts it, at the tip's height.
+        learned: What autonomy has learnt of magnet and robot: ``offset_um`` [x, y] along the vessel's axes,
+            ``friction_lead_um`` and ``looks``, the camera frames behind them.
     """
 
     seq: int
@@ -193,3 +196,4 @@ class RigState:
     trial: str | None
     tip_seen_px: ImagePoint | None = None
     tip_off_um: float | None = None
+    learned: Mapping[str, object] = field(default_factory=dict)

@@ -120,6 +120,7 @@ def twin_state(state: RigState, calibration: Calibration) -> dict[str, object]:
         "tip_px": _pixels(state.tip_px),
         "tip_seen_px": _pixels(state.tip_seen_px),
         "tip_off_um": _rounded(state.tip_off_um, 1),
+        "learned": dict(state.learned),
         "robot_um": _pair(*calibration.stage_xy_um(robot)) if robot else None,
         "robot_px": _pixels(track.image if track else None),
         "robot_vessel_px": _pixels(robot),
@@ -168,14 +169,17 @@ def event(name: str, t_s: float, fields: Mapping[str, object]) -> dict[str, obje
     return {"type": "event", "event": name, "t": _rounded(t_s, 6), **fields}
 
 
-def area_fields(area: CriticalArea, active: str | None) -> dict[str, object]:
-    """Return a critical area; ``active`` is the id of the one in use."""
+def area_fields(
+    area: CriticalArea, active: str | None, visited: frozenset[str] = frozenset()
+) -> dict[str, object]:
+    """Return a critical area; ``active`` is the id of the one in use, ``visited`` those that were reached."""
     return {
         "id": area.id,
         "center": {"x_px": _rounded(area.center.x_px, 2), "y_px": _rounded(area.center.y_px, 2)},
         "epsilon_um": _finite(area.epsilon_um),
         "label": area.label,
         "active": area.id == active,
+        "visited": area.id in visited,
     }
 
 

@@ -1,38 +1,66 @@
 """Drives in AUTO: asks for paths, lets the follower lead the robot along them, and says when it is stuck."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-from mrnav_server.autonomy.follower import Follower
-from mrnav_server.autonomy.following import FollowerStatus, FollowerWish
+from mrnav_server.autonomy.following import FollowerStatus, FollowerWish, Law
 from mrnav_server.autonomy.path import PlannedPath
 from mrnav_server.core.frames import StagePoint, VesselPoint
+from mrnav_server.core.navigation import MAX_STEPS
 from mrnav_server.core.records import TipReading, Track
 from mrnav_server.core.shaping import Reference
+from mrnav_server.loops.progress import Progress
 
 _DISPLAY_POINTS = 64
-_MOVED_UM = 50.0
 
 
 @dataclass(frozen=True, slots=True)
 class AutopilotConfig:
-    """Who proposes the route, and when autonomy gives up.
+    """Who proposes the route, how it is driven, and when autonomy gives up.
 
     Attributes:
         source: The trained policy, or the clearance-aware geodesic as a baseline.
+        law: "path" makes the robot follow the path that the source rolls out; "direct" moves the magnet by
+            each of the policy's actions, as the paper does, and needs the policy as its source.
+        actions_per_s: How often the direct law asks the policy (1-60).
         greedy: Best action with direction memory; False samples from the policy's distribution, as the
             paper does.
         seed: Of that sampling.
-        progress_s: AUTO ends when the robot has not moved for this long.
+        progress_s: AUTO ends when the robot has not moved, or has come no nearer along its way, for this
+            long (0.5-2).
+        most_reversals: AUTO ends when the robot has turned back more often than this without coming nearer
+            (0-100).
+        most_replans: AUTO ends when the robot has left its path more often than this in one task (0-100).
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
 
     source: Literal["policy", "geodesic"] = "policy"
+    law: Literal["path", "direct"] = "path"
+    actions_per_s: float = 30.0
     greedy: bool = True
     seed: int = 0
     progress_s: float = 2.0
+    most_reversals: int = 10
+    most_replans: int = 10
+
+    def __post_init__(self) -> None:
+        if self.law == "direct" and self.source != "policy":
+            raise ValueError('law "direct" needs source "policy": it asks the policy for every action')
+        for name, least, most in (
+            ("actions_per_s", 1.0, 60.0),
+            ("progress_s", 0.5, 2.0),
+            ("most_reversals", 0, 100),
+            ("most_replans", 0, 100),
+        ):
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"{name} must lie between {least:g} and {most:g}")
+
+    @property
+    def longest_s(self) -> float:
+        """Time for as many actions as an episode of the training has at most."""
+        return MAX_STEPS / self.actions_per_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +71,13 @@ class PathOrder:
         start: Where the robot is.
         target: Where it shall stop.
         back_off: Plan a way off the target instead, for a new approach.
+        epsilon_um: So near to the target it must rest.
     """
 
     start: VesselPoint
     target: VesselPoint
     back_off: bool
+    epsilon_um: float = math.inf
 
 
 class Autopilot:
@@ -55,7 +85,7 @@ class Autopilot:
 
     Args:
         config: Route and patience.
-        follower: Leads the robot along a path.
+        law: Brings the robot to its target.
         speed_um_per_s: Largest speed in AUTO.
         um_per_px: Size of a grid pixel.
         refusal: Why autonomy cannot be used at all (a policy that was not verified), else "".
@@ -64,7 +94,7 @@ class Autopilot:
     def __init__(
         self,
         config: AutopilotConfig,
-        follower: Follower,
+        law: Law,
         speed_um_per_s: float,
         um_per_px: float,
         refusal: str,
@@ -72,17 +102,16 @@ class Autopilot:
         self.refusal = refusal
         self.order: PathOrder | None = None
         self._config = config
-        self._follower = follower
+        self._law = law
         self._speed_um_per_s = speed_um_per_s
-        self._um_per_px = um_per_px
+        self._progress = Progress(config.progress_s, config.most_reversals, config.longest_s, um_per_px)
         self._path: PlannedPath | None = None
         self._target: VesselPoint | None = None
-        self._handover_um = 0.0
+        self._handover_um, self._epsilon_um = 0.0, math.inf
         self._wish: FollowerWish | None = None
-        self._robot: VesselPoint | None = None
-        self._moved_s = 0.0
         self._fresh_path = False
-        self._no_path = ""
+        self._replans = 0
+        self._gave_up = ""
 
     @property
     def path_px(self) -> tuple[tuple[float, float], ...]:
@@ -104,19 +133,32 @@ class Autopilot:
         """Whether the robot rests near the target of the task."""
         return self._wish is not None and self._wish.status is FollowerStatus.ARRIVED
 
-    def use(self, follower: Follower) -> None:
-        """Take another follower; not while driving."""
-        self._follower = follower
+    @property
+    def learned(self) -> dict[str, object]:
+        """What has been learnt about magnet and robot, kept from task to task, for people and logs."""
+        return self._law.coupling.described()
 
-    def prepare(self, path: PlannedPath, target: VesselPoint, handover_um: float = 0.0) -> None:
+    def use(self, law: Law) -> None:
+        """Take another law; not while driving."""
+        self._law = law
+
+    def prepare(
+        self,
+        path: PlannedPath,
+        target: VesselPoint,
+        handover_um: float = 0.0,
+        epsilon_um: float = math.inf,
+    ) -> None:
         """Take the path of the next task; nothing moves before :meth:`begin`.
 
         Args:
             path: From where the robot is.
             target: Where it shall stop.
             handover_um: So far from there the operator takes over.
+            epsilon_um: So near to it the robot must rest.
         """
-        self._path, self._target, self._handover_um = path, target, handover_um
+        self._path, self._target = path, target
+        self._handover_um, self._epsilon_um = handover_um, epsilon_um
 
     def begin(self, track: Track, tip: TipReading, now_s: float) -> None:
         """Start driving along the prepared path.
@@ -124,11 +166,12 @@ class Autopilot:
         Raises:
             RuntimeError: If no path was prepared.
         """
-        if self._path is None:
-            raise RuntimeError("AUTO began without a path")
-        self._follower.start(self._path, track, tip, now_s, self._handover_um)
-        self._robot, self._moved_s = track.vessel, now_s
-        self.order, self._wish, self._fresh_path, self._no_path = None, None, False, ""
+        if self._path is None or track.vessel is None:
+            raise RuntimeError("AUTO began without a path, or without the robot in sight")
+        self._start(self._path, track, tip, now_s)
+        self._progress.begin(track.vessel, now_s)
+        self.order, self._wish, self._fresh_path = None, None, False
+        self._replans, self._gave_up = 0, ""
 
     def end(self) -> None:
         """Stop driving: AUTO was left."""
@@ -140,14 +183,14 @@ class Autopilot:
         if order is not self.order:
             return
         if path is None:
-            self.order = PathOrder(order.start, order.target, back_off=False)
+            self.order = replace(order, back_off=False)
             return
         self._path, self._fresh_path, self.order = path, True, None
 
     def decline(self, order: PathOrder, reason: str) -> None:
         """Take note that an order cannot be met: the policy gives up."""
         if order is self.order:
-            self._no_path = reason
+            self._gave_up = reason
 
     def reference(self, seen: Track | None, tip: TipReading, z_um: float, now_s: float) -> Reference | None:
         """Return where the tip should be; None while a path is being planned or the task is over.
@@ -160,16 +203,18 @@ class Autopilot:
         """
         if seen is None or seen.vessel is None or self._target is None:
             return None
-        self._note_motion(seen.vessel, now_s)
         if self._fresh_path and self._path is not None:
-            self._follower.start(self._path, seen, tip, now_s, self._handover_um)
+            self._start(self._path, seen, tip, now_s)
+            self._progress.restart(seen.vessel, now_s)
             self._fresh_path = False
         if self.order is not None:
-            self._follower.watch(seen, tip)
+            self._progress.note(seen.vessel, None, now_s)
+            self._law.watch(seen, tip)
             return None
-        self._wish = wish = self._follower.step(now_s, seen, tip)
+        self._wish = wish = self._law.step(now_s, seen, tip)
+        self._progress.note(seen.vessel, wish.remaining_um, now_s)
         if wish.status is FollowerStatus.REPLAN:
-            self.order = PathOrder(seen.vessel, self._target, wish.back_off)
+            self._replan(seen.vessel, self._target, back_off=wish.back_off)
             return None
         if wish.status in (FollowerStatus.STUCK, FollowerStatus.LOST):
             return None
@@ -177,18 +222,23 @@ class Autopilot:
 
     def watch(self, seen: Track | None, tip: TipReading) -> None:
         """Learn from motion that the operator commands, so that AUTO begins with what MANUAL taught."""
-        self._follower.watch(seen, tip)
+        self._law.watch(seen, tip)
 
     def stuck(self, now_s: float) -> str:
         """Return why autonomy gives up, or ""."""
-        if self._no_path:
-            return self._no_path
+        if self._gave_up:
+            return self._gave_up
         if self._wish is not None and self._wish.status in (FollowerStatus.STUCK, FollowerStatus.LOST):
             return self._wish.reason
-        if self._robot is not None and now_s - self._moved_s > self._config.progress_s and not self.at_target:
-            return f"no progress: the robot has not moved for {self._config.progress_s:.0f} s"
-        return ""
+        return "" if self._target is None or self.at_target else self._progress.objection(now_s)
 
-    def _note_motion(self, robot: VesselPoint, now_s: float) -> None:
-        if self._robot is None or robot.distance_px(self._robot) * self._um_per_px > _MOVED_UM:
-            self._robot, self._moved_s = robot, now_s
+    def _start(self, path: PlannedPath, track: Track, tip: TipReading, now_s: float) -> None:
+        self._law.start(path, track, tip, now_s, self._handover_um, self._epsilon_um)
+
+    def _replan(self, robot: VesselPoint, target: VesselPoint, *, back_off: bool) -> None:
+        """Order another path; a robot that leaves its path again and again is left to the operator."""
+        self.order = PathOrder(robot, target, back_off, self._epsilon_um)
+        # A way off a missed target, and the one back to it, are counted by the follower's misses.
+        self._replans += not back_off and self._path is not None and not self._path.back_off
+        if self._replans > self._config.most_replans:
+            self._gave_up = f"the robot has left its path {self._replans} times"

@@ -324,7 +324,8 @@ class ControlLoop:
         if area is None or tip_um is None or self.machine.mode is not Mode.AUTO:
             return False
         robot_there = robot_um is not None and robot_um <= area.epsilon_um
-        if self._autopilot.at_target or self._handover.style == "stop":
+        small = self._handover.style == "blended" and area.epsilon_um < self._handover.rest_below_um
+        if self._autopilot.at_target or self._handover.style == "stop" or small:
             # At rest the friction lead may keep the tip outside a small area for ever.
             return robot_there and self._autopilot.at_target
         return tip_um <= area.epsilon_um and (robot_there or not self._handover.require_robot)

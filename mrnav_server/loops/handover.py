@@ -31,6 +31,8 @@ class HandoverConfig:
             (0-1000).
         require_robot: Arrival needs the tracked robot inside the area too; False leaves the paper's formula,
             which looks at the end-effector alone.
+        rest_below_um: In an area of a smaller radius the robot comes to rest before the operator takes over:
+            it could not stop inside (0-1000).
         sharing: Whether hand and policy may drive together.
     """
 
@@ -41,10 +43,12 @@ class HandoverConfig:
     blend_s: float = 0.8
     carry_um: float = 500.0
     require_robot: bool = True
+    rest_below_um: float = 250.0
     sharing: SharingConfig = field(default_factory=SharingConfig)
 
     def __post_init__(self) -> None:
-        for name, most in (("announce_s", 5.0), ("blend_s", 2.0), ("carry_um", 1000.0)):
+        bounds = {"announce_s": 5.0, "blend_s": 2.0, "carry_um": 1000.0, "rest_below_um": 1000.0}
+        for name, most in bounds.items():
             if not 0.0 <= getattr(self, name) <= most:
                 raise ValueError(f"{name} must lie between 0 and {most:g}")
 

@@ -1,6 +1,7 @@
 """What the rig does with asks while a path is being planned: whoever acts meanwhile wins."""
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,9 @@ class Desk:
         self.tick()
         await self.rig.console.ask("arm", "page", None)
 
-    async def _plan(self, start: VesselPoint, target: VesselPoint) -> PlannedPath:
+    async def _plan(
+        self, start: VesselPoint, target: VesselPoint, epsilon_um: float = math.inf
+    ) -> PlannedPath:
         self.planning.release()
         await self.answer.wait()
         return self._planner.plan(start, target)

@@ -163,3 +163,19 @@ def test_a_target_underfoot_still_gives_a_path(planner: PathPlanner) -> None:
 def test_the_roll_out_is_capped(bifurcation: VesselMap) -> None:
     short = PathPlanner(bifurcation, PathConfig(roll_out_steps=3))
     assert "3 actions" in short.plan(TRUNK, VesselPoint(880.0, 1200.0), StraightPolicy()).fallback
+
+
+def test_the_end_is_nudged_from_a_wall_by_no_more_than_the_area_allows(bifurcation: VesselMap) -> None:
+    planner = PathPlanner(bifurcation, PathConfig(coast_um=0.0))
+    rows, columns = np.nonzero(bifurcation.free)
+    gap_px = bifurcation.distance_px[rows, columns] - bifurcation.robot_radius_px
+    at = int(np.argmin(np.abs(gap_px - 5.0)))
+    target = VesselPoint(float(columns[at]), float(rows[at]))
+    start = bifurcation.suggested_areas[0]
+
+    def nudged_um(epsilon_um: float) -> float:
+        x_px, y_px = planner.plan(start, target, epsilon_um=epsilon_um).points_px[-1]
+        return target.distance_px(VesselPoint(float(x_px), float(y_px))) * bifurcation.um_per_px
+
+    assert nudged_um(500.0) == pytest.approx(65.0, abs=6.0)
+    assert nudged_um(50.0) == pytest.approx(25.0, abs=6.0)

@@ -33,7 +33,7 @@ def test_a_long_straight_path_is_driven_at_cruise_and_ended_slowly() -> None:
 
 
 def test_a_short_path_is_driven_gently() -> None:
-    points_um, tangents = straight(2000.0)
+    points_um, tangents = straight(1400.0)
     limit = speed_limits_um_per_s(points_um, tangents, roomy(points_um), LEAD_UM, CONFIG)
     assert limit.max() == 1500.0
 

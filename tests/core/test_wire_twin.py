@@ -93,6 +93,7 @@ def test_a_state_has_the_documented_fields_in_their_units() -> None:
         "tip_px",
         "tip_seen_px",
         "tip_off_um",
+        "learned",
         "robot_um",
         "robot_px",
         "robot_vessel_px",
@@ -194,6 +195,7 @@ def test_a_snapshot_describes_the_rig() -> None:
             "epsilon_um": 500.0,
             "label": "clot",
             "active": True,
+            "visited": False,
         }
     ]
     assert message["policies"] == [
