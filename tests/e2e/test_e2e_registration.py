@@ -31,6 +31,7 @@ def test_an_operator_registers_the_vessel_from_the_page(shifted: RigProcess, pag
     page.get_by_test_id("nudge-right").click()
     expect(page.get_by_test_id("registration-pose")).to_contain_text("50, 0 µm", timeout=PATIENCE_MS)
     find.click()
+    expect(page.get_by_test_id("registration-pose")).not_to_contain_text("50, 0 µm", timeout=PATIENCE_MS)
     expect(overlap).to_contain_text("9", timeout=PATIENCE_MS)
     found = shifted.http.get("/api/v1/registration").json()
     assert found["pose"]["turn_deg"] == pytest.approx(3.0, abs=0.1)
