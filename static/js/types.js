@@ -20,6 +20,7 @@
  * @property {number} epsilon_um
  * @property {string} label
  * @property {boolean} active
+ * @property {boolean} visited Whether autonomy has arrived there.
  */
 
 /**
@@ -68,6 +69,8 @@
  * @property {string | null} critical_area
  * @property {number | null} distance_um
  * @property {number | null} lead_um
+ * @property {{offset_um: Pair, friction_lead_um: number, looks: number}} learned
+ * @property {{scale: "coarse" | "fine", gain: number, messages_hz: number, poses_hz: number}} hand
  * @property {number} collisions
  * @property {Pair[]} path In the vessel's grid.
  * @property {{hand_to_command: Percentiles, frame_to_twin: Percentiles, tick: Percentiles}} latency_ms
