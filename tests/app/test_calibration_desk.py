@@ -164,7 +164,8 @@ class Page:
     async def lay(self, scene: str, sheet: SheetConfig) -> None:
         assert sheet == PLAN.sheet
         assert self.mode is Mode.DISARMED
-        await self.bench.prepare(Prepare("", "", 0.0, scene))
+        # Drawing the sheet is a second's work on a busy machine: not in the loop.
+        await asyncio.to_thread(asyncio.run, self.bench.prepare(Prepare("", "", 0.0, scene)))
 
     def put_back(self) -> None:
         self.put_backs += 1
@@ -182,7 +183,7 @@ class _Frames(Latest[Frame]):
         self._page = page
 
     async def newer_than(self, version: int) -> tuple[Frame, int]:
-        frame = self._page.bench.camera.read(2.0)
+        frame = await asyncio.to_thread(self._page.bench.camera.read, 2.0)
         self._page.tick()
         self.put(frame)
         return frame, self.version

@@ -73,7 +73,7 @@ def test_what_failed_or_is_not_defined_counts_for_nothing() -> None:
     page = Console(file=io.StringIO(), width=120)
     page.print(summary_table(found))
     assert isinstance(page.file, io.StringIO)
-    assert "Simulated operators, simulated rig" in page.file.getvalue()
+    assert "Simulated operators and rig" in page.file.getvalue()
 
 
 def test_a_variant_is_a_name_and_settings_as_variables() -> None:
