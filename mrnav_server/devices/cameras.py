@@ -13,21 +13,19 @@ import numpy as np
 from mrnav_server.core.errors import DeviceError
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame
-from mrnav_server.devices.grabber import FrameGrabber
+from mrnav_server.devices.grabber import GrabbedCamera
 from mrnav_server.devices.pictures import RateMeter, is_another_rate, to_bgr
 from mrnav_server.devices.v4l2 import AUTOMATIC, Capture, Controls, choose_mode, open_capture, set_controls
 
 _OPEN_S = 5.0
-_CLOSE_S = 0.5
 _log = logging.getLogger(__name__)
 
 
-class UsbCamera:
+class UsbCamera(GrabbedCamera):
     """A camera behind ``cv2.VideoCapture``.
 
     One thread owns the capture from opening to release: OpenCV may block for ten seconds in a read of a
-    camera that was pulled out, and releasing it meanwhile from elsewhere is not safe. So ``close`` never
-    waits long, and the camera can be opened again as soon as that read has returned.
+    camera that was pulled out, and releasing it meanwhile from elsewhere is not safe.
 
     Frames are stamped right after ``grab`` returns. That is later than the exposure by read-out and transfer,
     about one frame period, which V4L2 does not tell; it is never earlier.
@@ -56,56 +54,19 @@ class UsbCamera:
         devices: Path = Path("/dev"),
         open_timeout_s: float = _OPEN_S,
     ) -> None:
+        super().__init__(f"USB camera {index}", open_timeout_s, "pull it out and plug it in")
         self._index = index
         self._asked = picture
         self._clock = clock
         self._controls = controls
         self._open_capture = open_capture
         self._node = devices / f"video{index}"
-        self._open_timeout_s = open_timeout_s
-        self._name = f"USB camera {index}"
         self._format = ""
-        self._grabber: FrameGrabber | None = None
 
     @property
     def format(self) -> str:
         """What the camera really gives, in words; "" before it was opened. The rate is measured by and by."""
         return self._format
-
-    def open(self) -> None:
-        """Acquire the camera and wait for its first picture.
-
-        Raises:
-            DeviceError: If it is missing, busy or silent, or gives another size, with the remedy.
-        """
-        if self._grabber is not None and self._grabber.alive:
-            raise DeviceError(
-                f"{self._name} is still held since it was opened before: pull it out and plug it in"
-            )
-        self._grabber = FrameGrabber(self._name, self._frames)
-        try:
-            self._grabber.wait(self._open_timeout_s)
-        except DeviceError:
-            self.close()
-            raise
-
-    def read(self, timeout_s: float) -> Frame:
-        """Return the newest frame that was not read yet; wait for one if there is none.
-
-        Frames that nobody read in time are dropped; the numbers show the gap.
-
-        Raises:
-            DeviceTimeoutError: If none arrives in time.
-            DeviceError: If the camera is not open, was pulled out or fails.
-        """
-        if self._grabber is None:
-            raise DeviceError(f"{self._name} is not open: open it first")
-        return self._grabber.take(timeout_s)
-
-    def close(self) -> None:
-        """Give the camera back; one that hangs in a read is left to end by itself."""
-        if self._grabber is not None:
-            self._grabber.end(_CLOSE_S)
 
     def _frames(self, ending: threading.Event) -> Iterator[Frame]:
         capture = self._open_capture(self._index)

@@ -1,10 +1,13 @@
 """A thread that waits for a camera, so that nobody else hangs on it."""
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 
 from mrnav_server.core.errors import DeviceError, DeviceTimeoutError
 from mrnav_server.core.records import Frame
+
+_CLOSE_S = 1.0
 
 
 class FrameGrabber:
@@ -78,3 +81,59 @@ class FrameGrabber:
             with self._changed:
                 self._fault = fault
                 self._changed.notify_all()
+
+
+class GrabbedCamera(ABC):
+    """A camera that one thread has from opening to closing; the newest picture wins.
+
+    ``close`` never waits long for a driver that hangs; the camera can be opened again as soon as its thread
+    has ended.
+
+    Args:
+        name: The camera's name in messages.
+        open_timeout_s: How long opening may take, first picture included.
+        remedy: What helps against a driver that still hangs when the camera is opened again.
+    """
+
+    def __init__(self, name: str, open_timeout_s: float, remedy: str) -> None:
+        self._name = name
+        self._open_timeout_s = open_timeout_s
+        self._remedy = remedy
+        self._grabber: FrameGrabber | None = None
+
+    def open(self) -> None:
+        """Acquire the camera and wait for its first picture.
+
+        Raises:
+            DeviceError: If it is missing, busy or silent, or gives other pictures, with the remedy.
+        """
+        if self._grabber is not None and self._grabber.alive:
+            raise DeviceError(f"{self._name} is still held since it was opened before: {self._remedy}")
+        self._grabber = FrameGrabber(self._name, self._frames)
+        try:
+            self._grabber.wait(self._open_timeout_s)
+        except DeviceError:
+            self.close()
+            raise
+
+    def read(self, timeout_s: float) -> Frame:
+        """Return the newest frame that was not read yet; wait for one if there is none.
+
+        Frames that nobody read in time are dropped; the numbers show the gap.
+
+        Raises:
+            DeviceTimeoutError: If none arrives in time.
+            DeviceError: If the camera is not open, was pulled out or fails.
+        """
+        if self._grabber is None:
+            raise DeviceError(f"{self._name} is not open: open it first")
+        return self._grabber.take(timeout_s)
+
+    def close(self) -> None:
+        """Give the camera back; one that hangs is left to end by itself."""
+        if self._grabber is not None:
+            self._grabber.end(_CLOSE_S)
+
+    @abstractmethod
+    def _frames(self, ending: threading.Event) -> Iterator[Frame]:
+        """Acquire the camera, yield its frames until the event is set, and give it back."""

@@ -15,10 +15,10 @@ _SHARE = 0.02
 _WHITE = 253
 _SLOW = 1.5
 """A camera is slow when its period is longer than the nominal one by this factor."""
-_OVERDUE = 1.35
-"""After a long period the next one is long when it has lasted for so many nominal ones."""
+_OVERDUE = 1.2
+"""After a frame that was overdue or lost the next one is overdue when so many nominal periods have passed."""
 _TWICE = 2
-"""Long periods in a row that make a camera slow; a single one is a frame that was lost."""
+"""Long periods in a row that make a camera slow, or empty ones its clock wrong; a single one is a mishap."""
 _STEADY = 5
 """Frames in a row that must agree before a camera is late, and before it is no longer late or slow."""
 _WINDOW = 30
@@ -76,6 +76,7 @@ class FrameWatch:
         self._picture = PictureWatch(darkest_gray)
         self._last: tuple[int, float] | None = None
         self._slow, self._late = _Steady(_TWICE, _STEADY), _Steady(_STEADY, _STEADY)
+        self._stands_still = _Steady(_TWICE, 1)
         self._arrived: tuple[float, bool] | None = None
         self._gaps: deque[int] = deque(maxlen=_WINDOW)
         self._has_gaps = False
@@ -105,8 +106,8 @@ class FrameWatch:
         """
         if self._arrived is None:
             return ""
-        arrived_s, was_long = self._arrived
-        if not was_long or now_s - arrived_s <= _OVERDUE * self._period_s:
+        arrived_s, was_overdue = self._arrived
+        if not was_overdue or now_s - arrived_s <= _OVERDUE * self._period_s:
             return ""
         return "the camera is slow: two of its frames in a row are overdue"
 
@@ -117,12 +118,14 @@ class FrameWatch:
         period_s = self._note(frame)
         long = period_s > _SLOW * self._period_s
         slow = self._slow(long)
-        self._arrived = (now_s, long)
+        stands_still = self._stands_still(period_s <= 0.0)
+        lost_now = bool(self._gaps) and self._gaps[-1] > 0
+        self._arrived = (now_s, long or lost_now)
         lost = sum(self._gaps)
         self._has_gaps = lost >= _FEW_MISSING or (self._has_gaps and lost > 0)
         if content:
             return content, content
-        if period_s <= 0.0:
+        if stands_still:
             return "clock", "the camera's capture times do not rise: check its clock"
         if late:
             return "late", f"the camera is late: its frames arrive {1e3 * age_s:.0f} ms after they were taken"

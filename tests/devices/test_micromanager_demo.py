@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,7 +18,8 @@ from mrnav_server.core.records import Frame, Track, TrackState
 from mrnav_server.devices.micromanager.camera import MicroManagerCamera, to_bgr
 from mrnav_server.devices.micromanager.config import MicroManagerConfig
 from mrnav_server.devices.micromanager.manipulator import MicroManagerManipulator
-from mrnav_server.devices.micromanager.shared_core import SharedCore
+from mrnav_server.devices.micromanager.shared_core import Core, SharedCore, load_core
+from mrnav_server.loops import tracking
 from mrnav_server.loops.tracking import TrackingLoop
 from tests.devices.fake_core import WAIT_S, leaked
 
@@ -317,3 +318,46 @@ async def test_the_tracking_loop_runs_on_the_camera(camera: Make) -> None:
     numbers = [track.frame_number for _, track in seen]
     assert numbers == sorted(set(numbers))
     assert [track.taken_s for _, track in seen] == [frame.taken_s for frame, _ in seen]
+
+
+class LooseCable:
+    """A core whose camera refuses every call while it is pulled out; the acquisition is then not stopped."""
+
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self.out = False
+
+    def __getattr__(self, name: str) -> object:
+        if self.out and name in ("getRemainingImageCount", "setCameraDevice", "stopSequenceAcquisition"):
+            raise RuntimeError('Error in device "Camera": \n(device not connected)')
+        return getattr(self._core, name)
+
+
+async def test_the_tracking_loop_survives_a_camera_that_throws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracking, "_FIRST_RETRY_S", 0.001)
+    monkeypatch.setattr(tracking, "_LAST_RETRY_S", 0.01)
+    cable = LooseCable(load_core(CONFIG))
+    shared = SharedCore(CONFIG, lambda _: cast(Core, cable))
+    stages = shared.acquire()
+    device = MicroManagerCamera(CONFIG, PICTURE, shared, time.monotonic)
+    device.open()
+    seen: list[Frame] = []
+    told: list[str] = []
+    loop = TrackingLoop(device, Blind(), lambda frame, _: seen.append(frame), told.append)
+    running = asyncio.ensure_future(loop.run())
+    await until(lambda: seen)
+    cable.out = True
+    await until(lambda: told)
+    assert told == [
+        'camera: Micro-Manager camera failed: Error in device "Camera": (device not connected): check its'
+        " power and its cable; trying again"
+    ]
+    seen.clear()
+    cable.out = False
+    await until(lambda: len(seen) >= 3)
+    assert told[1:] == [""]
+    running.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await running
+    assert not stages.isSequenceRunning("Camera")
+    shared.release()

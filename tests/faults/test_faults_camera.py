@@ -31,10 +31,12 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CameraRig]:
 def test_auto_holds_for_a_reason_and_may_go_on_without_a_restart(filmed: CameraRig, fault: str) -> None:
     rig = filmed.rig
     filmed.go()
-    filmed.spoil(fault)
+    spoilt_s = filmed.spoil(fault)
     rig.until(lambda s: s["mode"] == "HOLD", "HOLD", CEILING_S)
-    held_for = next(e["reason"] for e in reversed(rig.events) if e["event"] == "mode" and e["mode"] == "HOLD")
-    assert re.search(REASONS[fault], held_for), held_for
+    held = next(e for e in reversed(rig.events) if e["event"] == "mode" and e["mode"] == "HOLD")
+    assert held["before"] == "AUTO"
+    assert re.search(REASONS[fault], held["reason"]), held["reason"]
+    assert 0.0 < held["t"] - spoilt_s < CEILING_S
     rig.until(lambda s: not s["auto_ready"], "AUTO to be refused", CEILING_S)
     assert rig.http.post("/api/v1/mode", json={"ask": "auto"}).status_code == 409
     assert rig.http.get("/healthz").is_success

@@ -103,11 +103,14 @@ def test_half_the_rate_is_slow_whether_the_numbers_jump_or_not(camera: Camera) -
     assert "slow" in [camera.frame(period_s=2 / FPS, skip=1) for _ in range(8)][-1]
 
 
-def test_half_the_rate_is_noticed_before_the_frame_that_would_show_it(camera: Camera) -> None:
-    camera.frame(period_s=2 / FPS)
+@pytest.mark.parametrize(("periods", "skip"), [(2.0, 0), (1.4, 1)])
+def test_half_the_rate_is_noticed_before_the_frame_that_would_show_it(
+    camera: Camera, periods: float, skip: int
+) -> None:
+    camera.frame(period_s=periods / FPS, skip=skip)
     arrived_s = camera.taken_s + 0.03
-    assert camera.watch.overdue(arrived_s + 1.3 / FPS) == ""
-    assert "overdue" in camera.watch.overdue(arrived_s + 1.4 / FPS)
+    assert camera.watch.overdue(arrived_s + 1.15 / FPS) == ""
+    assert "overdue" in camera.watch.overdue(arrived_s + 1.25 / FPS)
 
 
 def test_a_frame_that_was_lost_makes_nothing_overdue(camera: Camera) -> None:
@@ -117,7 +120,15 @@ def test_a_frame_that_was_lost_makes_nothing_overdue(camera: Camera) -> None:
 
 
 def test_a_clock_that_stands_still_is_named(camera: Camera) -> None:
+    assert camera.frame(period_s=0.0) == ""
+    assert "do not rise" in camera.frame(period_s=-0.001)
     assert "do not rise" in camera.frame(period_s=0.0)
+    assert camera.frame() == ""
+
+
+def test_a_single_capture_time_that_is_repeated_is_no_fault(camera: Camera) -> None:
+    said = {camera.frame(period_s=period_s) for _ in range(10) for period_s in (0.0, 1 / FPS)}
+    assert said == {""}
 
 
 def test_a_camera_that_was_opened_anew_starts_afresh(camera: Camera) -> None:

@@ -12,7 +12,7 @@ from mrnav_server.core.arrays import ByteArray
 from mrnav_server.core.errors import DeviceError
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame
-from mrnav_server.devices.grabber import FrameGrabber
+from mrnav_server.devices.grabber import GrabbedCamera
 from mrnav_server.devices.micromanager.capture_time import CaptureTime
 from mrnav_server.devices.micromanager.config import MicroManagerConfig
 from mrnav_server.devices.micromanager.shared_core import (
@@ -29,16 +29,15 @@ if TYPE_CHECKING:
 _CAMERA = 2
 """MMDevice's number of the device type."""
 _POLL_S = 0.002
-_CLOSE_S = 1.0
 _ELAPSED_MS = "ElapsedTime-ms"
 
 
-class MicroManagerCamera:
+class MicroManagerCamera(GrabbedCamera):
     """A camera in continuous sequence acquisition; the newest picture wins.
 
-    One thread has it from opening to closing. A camera that shares its core with the stage is stopped when it
-    is closed, but not unloaded: many adapters find one that was pulled out only when the server is started
-    anew.
+    Micro-Manager's configuration is loaded if nobody has. A camera that shares its core with the stage is
+    stopped when it is closed, but not unloaded: many adapters find one that was pulled out only when the
+    server is started anew.
 
     Args:
         config: Label and exposure.
@@ -54,45 +53,12 @@ class MicroManagerCamera:
         shared: SharedCore,
         clock: Callable[[], float],
     ) -> None:
+        name = f"Micro-Manager camera {config.camera}".rstrip()
+        super().__init__(name, config.open_timeout_s, "switch it off and on again")
         self._config = config
         self._asked = picture
         self._shared = shared
         self._clock = clock
-        self._grabber: FrameGrabber | None = None
-        self._name = f"Micro-Manager camera {config.camera}".rstrip()
-
-    def open(self) -> None:
-        """Load Micro-Manager's configuration if nobody has, start the camera, wait for its first picture.
-
-        Raises:
-            DeviceError: If it is missing or silent, or gives another size or kind, with the remedy.
-        """
-        if self._grabber is not None and self._grabber.alive:
-            raise DeviceError(
-                f"{self._name} is still held since it was opened before: switch it off and on again"
-            )
-        self._grabber = FrameGrabber(self._name, self._frames)
-        try:
-            self._grabber.wait(self._config.open_timeout_s)
-        except DeviceError:
-            self.close()
-            raise
-
-    def read(self, timeout_s: float) -> Frame:
-        """Return the newest frame that was not read yet; wait for one if there is none.
-
-        Raises:
-            DeviceTimeoutError: If none arrives in time.
-            DeviceError: If the camera is not open or fails.
-        """
-        if self._grabber is None:
-            raise DeviceError(f"{self._name} is not open: open it first")
-        return self._grabber.take(timeout_s)
-
-    def close(self) -> None:
-        """Stop the camera and give it back; one that hangs is left to end by itself."""
-        if self._grabber is not None:
-            self._grabber.end(_CLOSE_S)
 
     def _frames(self, ending: threading.Event) -> Iterator[Frame]:
         core = self._shared.acquire()
@@ -109,6 +75,9 @@ class MicroManagerCamera:
         label = device_label(
             core, self._config.camera, core.getCameraDevice(), _CAMERA, "camera", "micromanager.camera"
         )
+        if core.isSequenceRunning(label):
+            # It could not be stopped while it was pulled out.
+            core.stopSequenceAcquisition(label)
         core.setCameraDevice(label)
         if self._config.exposure_ms > 0.0:
             core.setExposure(label, self._config.exposure_ms)
