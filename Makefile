@@ -11,6 +11,8 @@ PY := $(BIN)/python
 # More options for pip, for example an index that has torch built for the CPU alone.
 PIP_FLAGS ?=
 PIP := $(PY) -m pip --disable-pip-version-check install --quiet $(PIP_FLAGS)
+# Processes and browsers in real time: one after another, and nothing beside them.
+REAL_TIME := tests/devices tests/e2e tests/faults
 # The first interpreter that is new enough.
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
@@ -29,7 +31,9 @@ demo: $(VENV)/.installed ## Let a simulated operator do one semi-autonomous tria
 test: $(VENV)/.installed-test ## Run all checks and all tests but the slow ones
 	@.ci/need 'chromium|chromium-browser|google-chrome' chromium
 	$(MAKE) check
-	$(PY) -m pytest
+# A second chance, since a busy machine may stop any process for a second. What is broken fails twice.
+	$(PY) -m pytest --reruns 1 --numprocesses logical --maxprocesses 8 --dist loadfile $(REAL_TIME:%=--ignore %)
+	$(PY) -m pytest --reruns 1 $(REAL_TIME)
 
 check: $(VENV)/.installed-test check-static ## Format, lint, types, layers, pages
 	$(BIN)/ruff format --check .

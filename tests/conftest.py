@@ -13,8 +13,8 @@ settings.register_profile("same", derandomize=True)
 settings.register_profile("explore", max_examples=1000, print_blob=True)
 settings.load_profile("same")
 
-BLOCKED_LOOP_CEILING_S = 1.0
-"""A callback that holds the loop longer fails its test; far above the noise of a busy machine."""
+BLOCKED_LOOP_CEILING_S = 5.0
+"""A callback that holds the loop longer fails its test; a busy machine alone holds one for more than a second."""
 GRACE_S = 0.2
 """A task that was told to end may take this long to do so."""
 

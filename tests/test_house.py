@@ -24,7 +24,7 @@ BLOCK = """
 import time
 
 async def test_block():
-    time.sleep(1.2)
+    time.sleep(5.2)
 """
 CLEAN = """
 import asyncio
