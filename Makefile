@@ -12,7 +12,7 @@ PY := $(BIN)/python
 PIP_FLAGS ?=
 PIP := $(PY) -m pip --disable-pip-version-check install --quiet $(PIP_FLAGS)
 # Processes and browsers in real time: one after another, and nothing beside them.
-REAL_TIME := tests/devices tests/e2e tests/faults
+REAL_TIME := tests/clients tests/devices tests/e2e tests/faults
 # The first interpreter that is new enough.
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)

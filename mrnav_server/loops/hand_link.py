@@ -23,6 +23,7 @@ from mrnav_server.core.wire_hand import (
     Ping,
     ScaleChoice,
     error_line,
+    lease_line,
     parse_hello,
     parse_message,
     pong_line,
@@ -31,6 +32,7 @@ from mrnav_server.core.wire_hand import (
 )
 
 TwinState = Mapping[str, object]
+TellLease = Callable[[bool, str, str], None]
 _LINGER_S = 1.0
 
 
@@ -77,7 +79,8 @@ class HandLinkServer:
     Args:
         config: How it listens.
         authorize: Returns a token's role ("viewer", "operator" or "admin"), or None for an unknown token.
-        acquire: Tries once to make a new session the rig's hand; tells whether it is.
+        acquire: Makes a new session the rig's hand, or raises RefusedError; keeps the function that tells it
+            later, with a code and plain words, that it lost the seat or has it again.
         on_sample: Takes an accepted sample, in the call that received it.
         on_closed: Told the session that ended.
         twin_source: Returns the newest twin state, None before the first.
@@ -86,13 +89,14 @@ class HandLinkServer:
         limits: The motion limits, for the welcome; units in the names.
         transform: How the server maps the hand, for the welcome.
         choose_scale: Told the session and the scale that it wants; raises RefusedError. None: one scale only.
+        session_name: Returns the session under which everybody sees a connection, of its secret and its role.
     """
 
     def __init__(
         self,
         config: HandLinkConfig,
         authorize: Callable[[str], str | None],
-        acquire: Callable[[str, Hello], bool],
+        acquire: Callable[[str, Hello, TellLease], None],
         on_sample: Callable[[HandSample], None],
         on_closed: Callable[[str], None],
         twin_source: Callable[[], TwinState | None],
@@ -102,6 +106,7 @@ class HandLinkServer:
         limits: Mapping[str, float],
         transform: Mapping[str, object],
         choose_scale: Callable[[str, str], None] | None = None,
+        session_name: Callable[[str, str], str] = lambda secret, _: secret,
     ) -> None:
         self.config = config
         self.authorize = authorize
@@ -114,6 +119,7 @@ class HandLinkServer:
         self.limits = limits
         self.transform = transform
         self.choose_scale = choose_scale
+        self.session_name = session_name
         self.counters: Counter[str] = Counter()
         self.peers: set[_Peer] = set()
         self._port = config.port
@@ -177,8 +183,8 @@ class _Peer(asyncio.Protocol):
         self._unread = b""
         self._hello: Hello | None = None
         self._operator = False
-        self._session = secrets.token_hex(8)
-        self._stream = HandStream(self._session, server.counters)
+        self._session = ""
+        self._stream = HandStream("", server.counters)
         self._bucket = TokenBucket(server.config.lines_per_s, burst=server.config.lines_per_s)
         self._bad_numbers = Strikes()
         self._heard_s = self._loop.time()
@@ -253,11 +259,28 @@ class _Peer(asyncio.Protocol):
             raise WireError("forbidden", "this token only lets you watch: say role viewer, or use another")
         self._hello = hello
         self._operator = hello.role == "operator"
-        lease = self._operator and self._server.acquire(self._session, hello)
-        self._transport.write(welcome_line(self._session, lease, self._server.limits, self._server.transform))
+        secret = secrets.token_hex(16)
+        self._session = self._server.session_name(secret, role)
+        self._stream = HandStream(self._session, self._server.counters)
+        refused = self._sit_down(hello) if self._operator else None
+        lease = self._operator and refused is None
+        self._transport.write(welcome_line(secret, lease, self._server.limits, self._server.transform))
+        if refused is not None:
+            self._tell_lease(False, refused.code, str(refused))
         self._twin_due_s = self._loop.time()
         self._watch_silence()
         self._send_twin()
+
+    def _sit_down(self, hello: Hello) -> RefusedError | None:
+        try:
+            self._server.acquire(self._session, hello, self._tell_lease)
+        except RefusedError as refused:
+            return refused
+        return None
+
+    def _tell_lease(self, lease: bool, code: str, message: str) -> None:
+        if not self._transport.is_closing():
+            self._transport.write(lease_line(lease, code, message))
 
     def _on_message(self, line: bytes, hello: Hello, now_s: float) -> None:
         message = parse_message(line, hello.frame)
@@ -312,9 +335,11 @@ class _Peer(asyncio.Protocol):
         if self._loop.time() < deadline_s:
             self._at("deadline", deadline_s, self._watch_silence)
         else:
-            # A half-open connection: nobody is left to tell.
             self._server.counters["hand_silent"] += 1
-            self.abort()
+            # Perhaps nobody is left to read it; a headset that slept does.
+            self._drop(
+                "silent", f"nothing came for {self._server.config.silence_timeout_s:g} s: connect anew"
+            )
 
     def _drop(self, code: str, message: str) -> None:
         """Tell the peer why, and close."""
