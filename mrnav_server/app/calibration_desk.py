@@ -73,7 +73,8 @@ class CalibrationDesk:
         control: Moves the tip.
         frames: The live picture.
         check: Raises RefusedError while a session must not calibrate.
-        objection: Why a session's calibration must not move the tip now, or "".
+        objection: Why a session's calibration must not move the tip any more, or "".
+        hesitates: Whether the tip is to rest for the moment, since nobody is heard who watches it.
         scene: Prepares itself, on the simulated rig; None where a person does.
         use: Makes the rig go by a calibration.
         announce: Tells everybody what happened, and records it.
@@ -93,6 +94,7 @@ class CalibrationDesk:
         frames: Latest[Frame],
         check: Callable[[str], None],
         objection: Callable[[str], str],
+        hesitates: Callable[[], bool],
         scene: Scene | None,
         use: Callable[[Calibration], None],
         announce: Callable[[str, Mapping[str, object]], None],
@@ -109,6 +111,7 @@ class CalibrationDesk:
         self._frames = frames
         self._check = check
         self._objection = objection
+        self._hesitates = hesitates
         self._scene = scene
         self._use = use
         self._announce = announce
@@ -278,7 +281,7 @@ class CalibrationDesk:
         if self._control.machine.mode in ARMED:
             raise RefusedError("ended", errand.ended or "the rig is armed: disarm it first")
         session = self._session
-        errand.begin(lambda: self._objection(session))
+        errand.begin(lambda: self._objection(session), self._hesitates)
         try:
             self._control.submit(Ask.ARM, self._clock())
         except RefusedError:
@@ -292,6 +295,8 @@ class CalibrationDesk:
         deadline_s = self._clock() + 1.5 * away_um / speed_um_per_s + _SPARE_S
         while True:
             await self._rest(_POLL_S)
+            if errand.waiting:
+                deadline_s += _POLL_S
             tip = self._control.scene.tip
             if tip is not None and not tip.moving and _distance_um(tip.position, target) <= ARRIVED_UM:
                 return

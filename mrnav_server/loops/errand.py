@@ -29,6 +29,8 @@ class Errand:
         self._reserved = False
         self._reference: Reference | None = None
         self._objection: Callable[[], str] | None = None
+        self._hesitates: Callable[[], bool] = lambda: False
+        self._waiting = False
         self._ended = ""
 
     @property
@@ -57,9 +59,14 @@ class Errand:
         return self._ended
 
     @property
+    def waiting(self) -> bool:
+        """Whether the tip rests on its way, until it may go on."""
+        return self._waiting
+
+    @property
     def reference(self) -> Reference | None:
         """Where the tip is to go; None to come to rest."""
-        return self._reference
+        return None if self._waiting else self._reference
 
     def reserve(self) -> None:
         """Keep hand and policy off; what ended an earlier errand is forgotten."""
@@ -70,17 +77,19 @@ class Errand:
         self.pause()
         self._reserved = False
 
-    def begin(self, objection: Callable[[], str]) -> None:
-        """Let the tip move from now on.
+    def begin(self, objection: Callable[[], str], hesitates: Callable[[], bool]) -> None:
+        """Let the tip move from now on. Both are asked at every control step.
 
         Args:
-            objection: Asked at every control step; what it says ends the errand, "" does not.
+            objection: What it says ends the errand, "" does not.
+            hesitates: Whether the tip is to rest where it is for the moment.
         """
-        self._objection, self._ended = objection, ""
+        self._objection, self._hesitates, self._ended = objection, hesitates, ""
 
     def pause(self) -> None:
         """Let the tip rest: a person is at the bench."""
         self._objection = self._reference = None
+        self._waiting = False
 
     def end(self, reason: str) -> None:
         """Let the tip come to rest; the procedure is told why."""
@@ -89,8 +98,11 @@ class Errand:
             self.pause()
 
     def look(self) -> None:
-        """End the errand if there is an objection."""
-        if self._objection is not None and (reason := self._objection()):
+        """End the errand if there is an objection, and let it wait while there is a doubt."""
+        if self._objection is None:
+            return
+        self._waiting = self._hesitates()
+        if reason := self._objection():
             self.end(reason)
 
     def go(self, target: StagePoint, speed_um_per_s: float) -> None:

@@ -17,7 +17,9 @@ from mrnav_server.sim.optics import Optics, View
 from mrnav_server.sim.sprites import Region, SphereSprite
 
 _POOL_MARGIN_PX = 64
-"""The noise pool is larger than the picture by this much, so that random crops of it look fresh."""
+"""The noise pool is larger than what is cut from it by this much, so that random crops look fresh."""
+_BAND_PX = 300
+"""Height of the bands that each get a crop of their own: a pool for the whole height leaves the cache."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class Microscope:
     """Renders camera pictures of a rig.
 
     The floor is painted once. A frame paints the robot and the occluder on it, adds noise to the whole in
-    one saturated addition (noise by region would draw a box that a tracker could see), and then restores
+    saturated additions (noise by region would draw a box that a tracker could see), and then restores
     only what was painted over.
 
     Args:
@@ -97,7 +99,7 @@ class Microscope:
         self._offset = offset
         self.lay(floor)
         self._pool = self._noise_pool(picture, config.noise, offset)
-        self._crop = 0
+        self._crops = np.zeros(-(-height // _BAND_PX), np.int64)
         self._sphere = SphereSprite(config.rim_blur_px, offset)
         self._radius_px = vessel.robot_radius_px
         shape = NeedleShape(
@@ -135,17 +137,21 @@ class Microscope:
         painted += self._occluder.paint(self._scene, tip)
         picture = np.empty_like(self._scene)
         height, width = picture.shape[:2]
-        # Never the crop of the picture before: a still scene would look like a frozen camera.
-        self._crop = (self._crop + int(self._rng.integers(1, _POOL_MARGIN_PX**2))) % _POOL_MARGIN_PX**2
-        row, column = divmod(self._crop, _POOL_MARGIN_PX)
-        cv2.add(self._scene, self._pool[row : row + height, column : column + width], picture)
+        # Never the crops of the picture before: a still scene would look like a frozen camera.
+        self._crops += self._rng.integers(1, _POOL_MARGIN_PX**2, len(self._crops))
+        self._crops %= _POOL_MARGIN_PX**2
+        for top, crop in zip(range(0, height, _BAND_PX), self._crops.tolist(), strict=True):
+            row, column = divmod(crop, _POOL_MARGIN_PX)
+            band = self._scene[top : top + _BAND_PX]
+            noise = self._pool[row : row + len(band), column : column + width]
+            cv2.add(band, noise, picture[top : top + _BAND_PX])
         for region in painted:
             self._scene[region] = self._floor[region]
         return picture
 
     def _noise_pool(self, picture: PictureFormat, noise: float, offset: int) -> ByteArray:
         """Return noise around ``offset``: three quarters common to the channels, as demosaicing leaves it."""
-        shape = (picture.height_px + _POOL_MARGIN_PX, picture.width_px + _POOL_MARGIN_PX)
+        shape = (_BAND_PX + _POOL_MARGIN_PX, picture.width_px + _POOL_MARGIN_PX)
         pool = self._rng.standard_normal((*shape, 3), np.float32) * np.float32(0.66 * noise)
         pool += self._rng.standard_normal((*shape, 1), np.float32) * np.float32(0.75 * noise)
         pool += np.float32(offset)

@@ -31,10 +31,12 @@ class PictureWatch:
 
     Args:
         darkest_gray: A picture with hardly a pixel this bright is black, 0..255; 0 allows black pictures.
+        may_repeat: Whether two true pictures may be the same, as in a film: compression repeats what rests.
     """
 
-    def __init__(self, darkest_gray: float) -> None:
+    def __init__(self, darkest_gray: float, *, may_repeat: bool = False) -> None:
         self._darkest_gray = darkest_gray
+        self._may_repeat = may_repeat
         self._before: bytes | None = None
 
     def fault(self, image: ByteArray) -> str:
@@ -50,7 +52,7 @@ class PictureWatch:
             return "the picture is black: switch the lamp on or uncover the lens"
         if int(np.count_nonzero(sample < _WHITE)) < _SHARE * sample.size:
             return "the picture is white: lower the light or the exposure"
-        if content == before:
+        if content == before and not self._may_repeat:
             # Noise alone makes two true pictures differ.
             return "the picture is frozen: it repeats the one before, restart the camera"
         return ""
@@ -66,14 +68,17 @@ class FrameWatch:
         fps: Frames a second that the camera promises.
         darkest_gray: As in ``PictureWatch``.
         stale_s: Oldest age of a frame on arrival, by its capture time.
+        may_repeat: As in ``PictureWatch``.
     """
 
-    def __init__(self, fps: float, darkest_gray: float = 12.0, stale_s: float = 0.1) -> None:
+    def __init__(
+        self, fps: float, darkest_gray: float = 12.0, stale_s: float = 0.1, *, may_repeat: bool = False
+    ) -> None:
         self.missing = 0
         """Frames that never arrived, by their numbers."""
         self._period_s = 1.0 / fps
         self._stale_s = stale_s
-        self._picture = PictureWatch(darkest_gray)
+        self._picture = PictureWatch(darkest_gray, may_repeat=may_repeat)
         self._last: tuple[int, float] | None = None
         self._slow, self._late = _Steady(_TWICE, _STEADY), _Steady(_STEADY, _STEADY)
         self._stands_still = _Steady(_TWICE, 1)

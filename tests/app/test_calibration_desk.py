@@ -43,8 +43,20 @@ TICK_S = 0.01
 SMALL = distorted(
     Settings(camera=CameraConfig(width_px=800, height_px=600), sim=SimConfig(image_um_per_px=30.0))
 )
+# Fast, and by the fewest places that a calibration takes.
 PLAN = simulated_plan(
-    SMALL, CalibrationConfig(descent_step_um=100.0, pictures=1, sheet_pictures=2, settle_s=0.1)
+    SMALL,
+    CalibrationConfig(
+        raster_z_um=(14_000.0, 11_500.0),
+        travel_z_um=14_500.0,
+        speed_um_per_s=4500.0,
+        descent_speed_um_per_s=1000.0,
+        descent_step_um=200.0,
+        approach_run_um=1500.0,
+        pictures=1,
+        sheet_pictures=2,
+        settle_s=0.1,
+    ),
 )
 WATER_UM = PLAN.water_depth_um
 
@@ -100,6 +112,7 @@ class Page:
             _Frames(self),
             self._check,
             self._objection,
+            lambda: not self.lease.console_heard_within(0.5, self.bench.clock()),
             self,
             self._use,
             lambda event, _: self.events.append(event),
@@ -158,8 +171,7 @@ class Page:
             raise RefusedError("armed", "disarm first")
 
     def _objection(self, session: str) -> str:
-        heard = self.lease.console_heard_within(1.0, self.bench.clock())
-        return "" if heard and self.lease.holds(session) else "the page is silent"
+        return "" if self.lease.holds(session) else "the page fell silent"
 
     async def lay(self, scene: str, sheet: SheetConfig) -> None:
         assert sheet == PLAN.sheet
@@ -270,6 +282,30 @@ async def test_a_silent_page_ends_the_motion(page: Page) -> None:
     assert "silent" in page.desk.state()["refusal"]
     assert not page.bench.world.moving
     assert page.mode is Mode.DISARMED
+
+
+async def test_the_tip_rests_while_its_page_is_silent_and_goes_on(page: Page) -> None:
+    await to_the_tip(page)
+    silent_s: list[float] = []
+    moving: dict[int, bool] = {}
+
+    def fall_silent() -> None:
+        now_s = page.bench.clock()
+        if len(page.commands) > 100 and not silent_s:
+            silent_s.append(now_s)
+        if not silent_s:
+            return
+        page.alive = now_s > silent_s[0] + 1.5
+        moving[round(10.0 * (now_s - silent_s[0]))] = page.bench.world.moving
+        if now_s > silent_s[0] + 3.0:
+            page.desk.cancel()
+
+    page.on_tick = fall_silent
+    await page.follow("done", 1)
+    assert moving[2]
+    assert not any(moving[tenth] for tenth in range(10, 15))
+    assert any(moving[tenth] for tenth in range(16, 30))
+    assert "cancelled" in page.desk.state()["refusal"]
 
 
 async def test_a_fault_ends_the_motion_and_the_stage_begins_again(page: Page) -> None:

@@ -4,8 +4,10 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import orjson
 import pytest
 
@@ -105,6 +107,28 @@ async def test_a_nudge_moves_the_model_and_says_how_it_fits(rig: Rig) -> None:
     assert second["by"] == "hand"
     assert error_um(rig) < 1.0
     assert len(second["outline_px"]) == 1
+
+
+async def test_another_calibration_voids_the_registration(rig: Rig) -> None:
+    async with running(rig):
+        rig.console.take_lease(PAGE, "page")
+        base = rig.calibration
+        first = await rig.registration.adjust(PAGE, 900.0, -600.0, 0.0)
+        # As if the camera had been moved by 10 px.
+        image = replace(base.image_from_vessel, tx=base.image_from_vessel.tx + 10.0)
+        moved = replace(base, image_from_vessel=image)
+        rig.registration.rebase(moved)
+        state = rig.registration.state()
+        kept = rig.registration.restore()
+        again = await rig.registration.adjust(PAGE, 0.0, 0.0, 0.0)
+    assert (state["registered"], state["pose"]["dx_um"]) == (False, 0.0)
+    shift_px = np.array(state["outline_px"][0][0]) - first["outline_px"][0][0]
+    # Back by the registration, 60 and -40 px, and on by what the calibration moved.
+    assert shift_px == pytest.approx([-50.0, 40.0], abs=0.2)
+    # The one on disk was made for the calibration before.
+    assert "calibration" in kept
+    assert again["pose"]["dx_um"] == 0.0
+    assert rig.calibration.image_from_vessel.rows() == moved.image_from_vessel.rows()
 
 
 async def test_it_needs_the_lease_and_a_disarmed_rig(rig: Rig) -> None:

@@ -13,6 +13,7 @@ from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import Affine2, Calibration, StagePoint, VesselPoint
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.vessel import VesselMap
+from mrnav_server.sim import occluder
 from mrnav_server.sim.magnetics import Magnets
 from mrnav_server.sim.microscope import Microscope, MicroscopeConfig
 from mrnav_server.vision.vessel_model import vessel_map
@@ -179,6 +180,23 @@ def test_any_pose_of_the_needle_can_be_painted(
         tip = centered.tip_in_image(StagePoint(4_000.0, 5_500.0, HEIGHT_UM))
         along = (x_px - tip.x_px) * np.cos(heading) + (y_px - tip.y_px) * np.sin(heading)
         assert along > 20.0
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 3.0, 45.0, 80.0])
+def test_painting_only_where_the_needle_is_leaves_out_nothing_of_it(
+    vessel: VesselMap, calibration: Calibration, tilt_deg: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = PictureFormat(800, 600)
+    centered = replace(calibration, image_center_px=picture.center_px)
+    whole = [(column, 0, 75) for column in range(0, 100, occluder._STRIP_CELLS)]
+    for azimuth_deg in (-15.0, 90.0, 200.0):
+        magnets = Magnets(tilt_deg=tilt_deg, azimuth_deg=azimuth_deg)
+        microscope = look_at(vessel, centered, CLEAN, picture, magnets)
+        for tip in ((1_200.0, 1_500.0, 2_000.0), (4_000.0, 5_500.0, HEIGHT_UM), (7_000.0, 5_400.0, 30_000.0)):
+            strips = microscope.render(None, StagePoint(*tip))
+            with monkeypatch.context() as patched:
+                patched.setattr(occluder.Occluder, "_strips", lambda *_: whole)
+                assert np.array_equal(strips, microscope.render(None, StagePoint(*tip)))
 
 
 def test_noise_is_fresh_in_every_picture_and_the_same_everywhere(

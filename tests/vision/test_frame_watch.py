@@ -136,3 +136,11 @@ def test_a_camera_that_was_opened_anew_starts_afresh(camera: Camera) -> None:
     camera.taken_s += 7.0
     assert [camera.frame() for _ in range(10)] == [""] * 10
     assert camera.watch.missing == 0
+
+
+def test_a_film_may_repeat_its_pictures_but_not_go_black() -> None:
+    camera = Camera()
+    camera.watch = FrameWatch(FPS, may_repeat=True)
+    still = camera.picture()
+    assert [camera.frame(still) for _ in range(10)] == [""] * 10
+    assert "black" in camera.frame(np.zeros_like(still))
