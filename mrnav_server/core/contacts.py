@@ -2,6 +2,8 @@
 
 import math
 
+from mrnav_server.core.arrays import FloatArray
+
 REARM_CLEARANCE_UM = 20.0
 REARM_S = 0.2
 
@@ -49,3 +51,20 @@ class ContactCounter:
             self._clear_since_s = now_s
         elif now_s - self._clear_since_s >= REARM_S:
             self._touching = False
+
+
+def contact_starts(t_s: FloatArray, clearance_um: FloatArray) -> list[int]:
+    """Return the samples at which a wall contact begins; their number is C.
+
+    Args:
+        t_s: Shape (n,), rising.
+        clearance_um: Gap between the robot's rim and the wall, shape (n,); NaN where unknown.
+
+    Source: study metric (e), collisions C.
+    """
+    counter = ContactCounter()
+    return [
+        index
+        for index, (now_s, gap_um) in enumerate(zip(t_s.tolist(), clearance_um.tolist(), strict=True))
+        if counter.step(gap_um, now_s)
+    ]

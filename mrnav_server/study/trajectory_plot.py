@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from mrnav_server.core.arrays import BoolArray, FloatArray
-from mrnav_server.core.metrics import contact_starts
+from mrnav_server.core.contacts import contact_starts
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.study.trial_record import TrialRecord
 

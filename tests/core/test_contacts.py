@@ -1,10 +1,11 @@
 import math
 from itertools import pairwise
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrnav_server.core.contacts import ContactCounter
+from mrnav_server.core.contacts import ContactCounter, contact_starts
 
 
 def count(steps: list[tuple[float, float | None]]) -> int:
@@ -44,3 +45,9 @@ def test_contacts_lie_at_least_the_rearm_time_apart(clearances_um: list[float | 
     begins_s = [0.05 * i for i, gap_um in enumerate(clearances_um) if counter.step(gap_um, 0.05 * i)]
     assert all(later - earlier >= 0.2 for earlier, later in pairwise(begins_s))
     assert bool(begins_s) == any(gap_um is not None and gap_um <= 0 for gap_um in clearances_um)
+
+
+def test_contact_starts_are_where_a_contact_begins() -> None:
+    t_s = 0.11 * np.arange(7, dtype=np.float64)
+    clearance_um = np.array([50.0, -1.0, np.nan, 30.0, 30.0, 30.0, -1.0])
+    assert contact_starts(t_s, clearance_um) == [1, 6]

@@ -1,0 +1,39 @@
+"""The web application in a thread, over trials on disk and a rig without devices."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mrnav_server.app.server import create_app
+from mrnav_server.settings import Settings
+from tests.app.fake_rig import OPERATOR_TOKEN, SERVER, FakeRig, listening
+
+
+@contextmanager
+def pages_server(trials: Path) -> Iterator[str]:
+    """Serve the pages over the trials in a folder; yields the address."""
+    settings = Settings.model_validate({"server": SERVER, "recording": {"root": str(trials)}})
+    ready, over = threading.Event(), threading.Event()
+    ports: list[int] = []
+
+    async def serve() -> None:
+        async with listening(create_app(FakeRig(settings), settings)) as port:
+            ports.append(port)
+            ready.set()
+            await asyncio.to_thread(over.wait)
+
+    thread = threading.Thread(target=asyncio.run, args=(serve(),))
+    thread.start()
+    try:
+        assert ready.wait(30.0)
+        yield f"http://127.0.0.1:{ports[0]}"
+    finally:
+        over.set()
+        thread.join(30.0)
+
+
+def signed_in(url: str, path: str, token: str = OPERATOR_TOKEN) -> str:
+    """Return a page's address with a token."""
+    return f"{url}{path}{'&' if '?' in path else '?'}token={token}"
