@@ -16,6 +16,7 @@ from mrnav_server.core.metrics import Trial, TrialMetrics, trial_metrics
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.loops.trial_log import TrialHeader
 from mrnav_server.study.trajectory_plot import trajectory_figure
+from mrnav_server.study.trajectory_record import write_trajectory
 from mrnav_server.study.trial_record import TrialRecord, read_trial_record
 
 RESULT_NAME = "result.json"
@@ -34,11 +35,14 @@ _GEODESIC_REACH = 5
 
 
 def write_trial_report(folder: Path, vessel: VesselMap) -> dict[str, Any]:
-    """Write ``result.json`` and ``trajectory.png`` into a trial's folder; return the result.
+    """Write ``result.json``, ``trajectory.json`` and ``trajectory.png`` into a trial's folder.
 
     Args:
         folder: The trial's folder.
         vessel: The vessel model that the trial's header names.
+
+    Returns:
+        The result.
 
     Raises:
         ConfigError: If the log is not readable.
@@ -51,7 +55,26 @@ def write_trial_report(folder: Path, vessel: VesselMap) -> dict[str, Any]:
             f"trial {folder.name} was made with another mask of {record.header.vessel} than the one given",
         )
     clearance_um = record.clearance_um(vessel)
-    metrics = trial_metrics(
+    metrics = measured(record, clearance_um, vessel, route_graph(vessel))
+    result = result_fields(record, metrics)
+    write_trajectory(folder, record, clearance_um, vessel)
+    (folder / RESULT_NAME).write_bytes(orjson.dumps(result, option=orjson.OPT_INDENT_2) + b"\n")
+    trajectory_figure(record, clearance_um, vessel).savefig(folder / PICTURE_NAME, dpi=120)
+    return result
+
+
+def measured(
+    record: TrialRecord, clearance_um: FloatArray, vessel: VesselMap, routes: GridGraph
+) -> TrialMetrics:
+    """Return a recorded trial's metrics.
+
+    Args:
+        record: The trial.
+        clearance_um: Gap to the wall at every track, shape (n,).
+        vessel: Its vessel model.
+        routes: ``route_graph`` of it.
+    """
+    return trial_metrics(
         Trial(
             t_s=record.t_s,
             xy_um=record.vessel_px * vessel.um_per_px,
@@ -60,13 +83,9 @@ def write_trial_report(folder: Path, vessel: VesselMap) -> dict[str, Any]:
             end_s=record.end_s,
             reached=record.reached,
             sigma_um=_median(record.sigma_um),
-            geodesic_um=geodesic_um(record.header, vessel),
+            geodesic_um=geodesic_um(record.header, routes),
         )
     )
-    result = result_fields(record, metrics)
-    (folder / RESULT_NAME).write_bytes(orjson.dumps(result, option=orjson.OPT_INDENT_2) + b"\n")
-    trajectory_figure(record, clearance_um, vessel).savefig(folder / PICTURE_NAME, dpi=120)
-    return result
 
 
 def result_fields(record: TrialRecord, metrics: TrialMetrics) -> dict[str, Any]:
@@ -87,17 +106,20 @@ def result_fields(record: TrialRecord, metrics: TrialMetrics) -> dict[str, Any]:
     }
 
 
-def geodesic_um(header: TrialHeader, vessel: VesselMap) -> float:
+def route_graph(vessel: VesselMap) -> GridGraph:
+    """Return the graph that a vessel's shortest paths are found in; it costs most at its first path."""
+    return GridGraph(vessel, reach=_GEODESIC_REACH)
+
+
+def geodesic_um(header: TrialHeader, routes: GridGraph) -> float:
     """Return the length of the shortest path from start to critical area; NaN if there is none."""
     if header.start_px is None or header.area_px is None:
         return math.nan
     try:
-        path_px = GridGraph(vessel, reach=_GEODESIC_REACH).path(
-            VesselPoint(*header.start_px), VesselPoint(*header.area_px)
-        )
+        path_px = routes.path(VesselPoint(*header.start_px), VesselPoint(*header.area_px))
     except RefusedError:
         return math.nan
-    return float(np.hypot(*np.diff(path_px, axis=0).T).sum()) * vessel.um_per_px
+    return float(np.hypot(*np.diff(path_px, axis=0).T).sum()) * header.um_per_px
 
 
 def _median(values: FloatArray) -> float:

@@ -14,7 +14,7 @@ from mrnav_server.loops.recorder import Recorder, RecorderConfig
 from mrnav_server.loops.trial_log import TrialHeader
 from mrnav_server.study.trajectory_plot import trajectory_figure
 from mrnav_server.study.trial_record import read_trial_record
-from mrnav_server.study.trial_report import geodesic_um, write_trial_report
+from mrnav_server.study.trial_report import geodesic_um, route_graph, write_trial_report
 from mrnav_server.vision.vessel_model import vessel_map
 
 START_PX, TARGET_PX = (80.0, 200.0), (320.0, 200.0)
@@ -164,6 +164,7 @@ def test_a_log_without_tracks_is_refused(tmp_path: Path, vessel: VesselMap) -> N
 
 
 def test_the_geodesic_runs_from_start_to_area(vessel: VesselMap) -> None:
-    assert geodesic_um(header(vessel), vessel) == pytest.approx(2400.0, rel=0.01)
-    assert math.isnan(geodesic_um(replace(header(vessel), start_px=None), vessel))
-    assert math.isnan(geodesic_um(replace(header(vessel), area_px=None), vessel))
+    routes = route_graph(vessel)
+    assert geodesic_um(header(vessel), routes) == pytest.approx(2400.0, rel=0.01)
+    assert math.isnan(geodesic_um(replace(header(vessel), start_px=None), routes))
+    assert math.isnan(geodesic_um(replace(header(vessel), area_px=None), routes))
