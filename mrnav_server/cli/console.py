@@ -1,10 +1,10 @@
 """The twin stream as a console sees it: it keeps the lease alive and waits for what should happen."""
 
-import time
 from collections.abc import Callable
 
 from mrnav_server.client.errors import ConnectionEndedError
 from mrnav_server.client.twin import Message, Twin
+from mrnav_server.client.waiting import REAL, Waiting
 from mrnav_server.core.errors import MrnavError
 
 State = Message
@@ -22,13 +22,14 @@ class TwinConsole(Twin):
         url: The server's web address.
         token: An operator's token.
         alive: Asked often; raises if a process that the trial needs has ended.
+        waiting: How it waits.
 
     Attributes:
         modes: Every mode that was shown, in order, repeats left out.
     """
 
-    def __init__(self, url: str, token: str, alive: Callable[[], None]) -> None:
-        super().__init__(url, token, heartbeat=True)
+    def __init__(self, url: str, token: str, alive: Callable[[], None], waiting: Waiting = REAL) -> None:
+        super().__init__(url, token, heartbeat=True, waiting=waiting)
         self._alive = alive
         self.modes: list[str] = []
         self._watchers: list[Callable[[State], None]] = []
@@ -48,9 +49,9 @@ class TwinConsole(Twin):
         Raises:
             TrialFailedError: If it takes too long, or the connection ends.
         """
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = self.waiting.now_s() + timeout_s
         while not (self.state and condition(self.state)):
-            if time.monotonic() > deadline_s:
+            if self.waiting.now_s() > deadline_s:
                 reason = self.state.get("reason") or self.state.get("auto_refusal") or "no reason given"
                 raise TrialFailedError(f"{what}: not within {timeout_s:g} s ({reason})")
             self._look()
@@ -58,8 +59,8 @@ class TwinConsole(Twin):
 
     def wait(self, duration_s: float) -> None:
         """Take messages for a while."""
-        end_s = time.monotonic() + duration_s
-        while time.monotonic() < end_s:
+        end_s = self.waiting.now_s() + duration_s
+        while self.waiting.now_s() < end_s:
             self._look()
 
     def _look(self) -> None:

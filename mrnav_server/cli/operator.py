@@ -3,8 +3,7 @@
 import json
 import signal
 import threading
-import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from types import FrameType
 from typing import Annotated, Any
@@ -17,6 +16,7 @@ from mrnav_server.client.errors import ConnectionEndedError
 from mrnav_server.client.hand import HandLink
 from mrnav_server.client.rest import Rest
 from mrnav_server.client.twin import Twin
+from mrnav_server.client.waiting import REAL, Waiting
 from mrnav_server.core.modes import Mode
 from mrnav_server.loops.priority import compute_in_calling_threads, make_ordinary, prefer_this_process
 from mrnav_server.sim.operator import MODEL_NAME, Condition, Phase, Sight, SimulatedOperator
@@ -26,6 +26,7 @@ from mrnav_server.sim.operator_route import Route
 _PING_S = 1.0
 _LEAVE_S = 1.0
 """Content for so long, an operator who came for one task leaves."""
+_LISTEN_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +75,19 @@ def operator(
     compute_in_calling_threads()
     model = OperatorModel(gain=tau)
     model = steady(model) if scripted else practised(personal(model, seed), trial)
-    desk = Desk(Seat(host, port, url, token, area), SimulatedOperator(model, 1000 * seed + trial, condition))
+    someone = SimulatedOperator(model, 1000 * seed + trial, condition)
     signal.signal(signal.SIGTERM, _end)
     say = Console(stderr=True, highlight=False)
-    try:
-        desk.work(seed, condition, once=once)
-    except ConnectionEndedError as error:
-        if not desk.seated:
-            raise
-        say.print(f"simulated operator: {error}", markup=False)
-    except KeyboardInterrupt:
-        pass
+    with ThreadPoolExecutor(1, "chart", _ordinary) as planner:
+        desk = Desk(Seat(host, port, url, token, area), someone, planner)
+        try:
+            desk.work(seed, condition, once=once)
+        except ConnectionEndedError as error:
+            if not desk.seated:
+                raise
+            say.print(f"simulated operator: {error}", markup=False)
+        except KeyboardInterrupt:
+            pass
     if json_output:
         typer.echo(json.dumps(desk.result(seed, condition)))
 
@@ -95,13 +98,21 @@ class Desk:
     Args:
         seat: Where the server is.
         operator: Who sits there.
+        planner: Looks for ways beside the hand, which goes on.
+        waiting: How it waits.
 
     Attributes:
         seated: Whether the server took the hand.
     """
 
-    def __init__(self, seat: Seat, operator: SimulatedOperator) -> None:
+    def __init__(
+        self, seat: Seat, operator: SimulatedOperator, planner: Executor, waiting: Waiting = REAL
+    ) -> None:
         self.seated = False
+        self._leaving = False
+        self._planner = planner
+        self._planned: Future[Route | None] | None = None
+        self._waiting = waiting
         self._seat = seat
         self._operator = operator
         self._mode: Mode | None = None
@@ -119,20 +130,28 @@ class Desk:
             ConnectionEndedError: If the server is not there, refuses the operator, or ends the connection.
             RestError: If it does not show its vessel.
         """
-        seat = self._seat
-        name = f"simulated operator {seed}"
-        with (
-            Twin(seat.url, seat.token, rate_hz=1.0) as events,
-            ThreadPoolExecutor(1, "chart", _ordinary) as self._planner,
-        ):
-            chart = self._planner.submit(Chart, Rest(seat.url, seat.token), events.snapshot).result()
+        seat, waiting = self._seat, self._waiting
+        rest = Rest(seat.url, seat.token, waiting=waiting)
+        with Twin(seat.url, seat.token, rate_hz=1.0, waiting=waiting) as events:
             self._note_areas(events.snapshot["critical_areas"])
-            self._planned: Future[Route | None] | None = None
+            chart = self._planner.submit(Chart, rest, events.snapshot)
+            while not chart.done():
+                self._listen(events, _LISTEN_S)
             with HandLink(
-                seat.host, seat.port, seat.token, client=name, simulated_by=MODEL_NAME, seed=seed
+                seat.host,
+                seat.port,
+                seat.token,
+                client=f"simulated operator {seed}",
+                simulated_by=MODEL_NAME,
+                seed=seed,
+                waiting=waiting,
             ) as link:
                 self.seated = True
-                self._loop(link, events, chart, once=once)
+                self._loop(link, events, chart.result(), once=once)
+
+    def leave(self) -> None:
+        """Have ``work`` end at the next message."""
+        self._leaving = True
 
     def result(self, seed: int, condition: Condition) -> dict[str, Any]:
         """Return what the operator did, for JSON."""
@@ -151,10 +170,10 @@ class Desk:
 
     def _loop(self, link: HandLink, events: Twin, chart: Chart, *, once: bool) -> None:
         """Send on absolute deadlines: sleeping for a period would send too seldom."""
-        began_s = pinged_s = time.monotonic()
+        began_s = pinged_s = self._waiting.now_s()
         beat = 0
-        while True:
-            now_s = time.monotonic()
+        while not self._leaving:
+            now_s = self._waiting.now_s()
             pose = self._operator.hand(now_s)
             point = pose.point
             link.send((point.x_m, point.y_m, point.z_m), clutch=pose.clutch, pose=pose.number)
@@ -164,24 +183,27 @@ class Desk:
             if self._note_phase(now_s) and once:
                 return
             beat = max(beat + 1, int((now_s - began_s) * MESSAGES_HZ) + 1)
-            while (message := events.take(0.0)) is not None:
-                if message["type"] == "event":
-                    self._hear(message)
-            for twin in link.twins(began_s + beat / MESSAGES_HZ - time.monotonic()):
+            self._listen(events, 0.0)
+            for twin in link.twins(began_s + beat / MESSAGES_HZ - self._waiting.now_s()):
                 self._look(twin, chart)
+
+    def _listen(self, events: Twin, for_s: float) -> None:
+        while (message := events.take(for_s)) is not None:
+            if message["type"] == "event":
+                self._hear(message)
 
     def _hear(self, event: dict[str, Any]) -> None:
         if event["event"] == "handover_announced":
-            self._countdown_ends_s = time.monotonic() + event["in_s"]
+            self._countdown_ends_s = self._waiting.now_s() + event["in_s"]
             self._task = None
         elif event["event"] == "handover":
-            self._handed_over_s = time.monotonic()
+            self._handed_over_s = self._waiting.now_s()
         elif event["event"] == "areas":
             self._note_areas(event["critical_areas"])
 
     def _look(self, twin: dict[str, Any], chart: Chart) -> None:
         """Show the operator one picture; when it shows a new task, look for the way."""
-        now_s, mode = time.monotonic(), Mode(twin["mode"])
+        now_s, mode = self._waiting.now_s(), Mode(twin["mode"])
         if mode is not Mode.AUTO:
             self._countdown_ends_s = None
         area = self._seat.area or twin["critical_area"]

@@ -21,12 +21,12 @@ def insist(rest: Rest, twin: TwinConsole, ask: str) -> None:
     Raises:
         RestError: If it is refused for good.
     """
-    deadline_s = time.monotonic() + ARMED_S
+    deadline_s = rest.waiting.now_s() + ARMED_S
     while True:
         try:
             rest.post("/api/v1/mode", {"ask": ask})
         except RestError as error:
-            if error.status != HTTPStatus.CONFLICT or time.monotonic() > deadline_s:
+            if error.status != HTTPStatus.CONFLICT or rest.waiting.now_s() > deadline_s:
                 raise
             twin.wait(0.2)
         else:
@@ -40,14 +40,14 @@ def ask_auto(rest: Rest, twin: TwinConsole, area: str) -> None:
         RestError: If it is refused for good.
         TrialFailedError: If the rig is in FAULT or STOP.
     """
-    deadline_s = time.monotonic() + SEATED_S
+    deadline_s = rest.waiting.now_s() + SEATED_S
     while True:
         try:
             rest.post("/api/v1/mode", {"ask": "auto", "area": area})
         except RestError as error:
             if twin.state["mode"] in ("FAULT", "STOP"):
                 raise TrialFailedError(f"{twin.state['mode']}: {twin.state['reason']}") from None
-            if error.status != HTTPStatus.CONFLICT or time.monotonic() > deadline_s:
+            if error.status != HTTPStatus.CONFLICT or rest.waiting.now_s() > deadline_s:
                 raise
             twin.wait(0.3)
         else:
@@ -82,10 +82,10 @@ def wait_tracking(rest: Rest) -> dict[str, Any]:
     Raises:
         TrialFailedError: If it is not found.
     """
-    deadline_s = time.monotonic() + SEATED_S
+    deadline_s = rest.waiting.now_s() + SEATED_S
     while (state := rest.get("/api/v1/state"))["track"]["state"] != "tracking":
-        if time.monotonic() > deadline_s:
+        if rest.waiting.now_s() > deadline_s:
             raise TrialFailedError(f"the robot was not found within {SEATED_S:g} s")
-        time.sleep(0.1)
+        rest.waiting.sleep(0.1)
     seen: dict[str, Any] = state
     return seen

@@ -11,12 +11,12 @@ Example:
 import json
 import select
 import socket
-import time
 from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Any, Literal, Self
 
 from mrnav_server.client.errors import ConnectionEndedError
+from mrnav_server.client.waiting import REAL, Waiting
 
 _CONNECT_S = 5.0
 _READ_BYTES = 65_536
@@ -33,6 +33,7 @@ class HandLink:
         rate_hz: How often the twin comes, 1 to 120 Hz.
         simulated_by: Name of the model that stands in for a person; "" for a person.
         seed: Seed of that model.
+        waiting: How it waits.
 
     Attributes:
         welcome: The server's answer: session, limits, transform.
@@ -52,7 +53,9 @@ class HandLink:
         rate_hz: float = 60.0,
         simulated_by: str = "",
         seed: int | None = None,
+        waiting: Waiting = REAL,
     ) -> None:
+        self._waiting = waiting
         self._buffer = bytearray()
         self._seq = 0
         try:
@@ -114,7 +117,7 @@ class HandLink:
         message: dict[str, Any] = {
             "type": "hand",
             "seq": self._seq,
-            "t": time.monotonic(),
+            "t": self._waiting.now_s(),
             "p": [x_m, y_m, z_m],
             "clutch": clutch,
             "valid": valid,
@@ -127,7 +130,7 @@ class HandLink:
 
     def ping(self) -> None:
         """Ask for the server's time, so that it can tell the round trip."""
-        self._write({"type": "ping", "t": time.monotonic()})
+        self._write({"type": "ping", "t": self._waiting.now_s()})
 
     def twins(self, for_s: float) -> Iterator[dict[str, Any]]:
         """Yield the twin's messages as they come, for a while.
@@ -135,7 +138,7 @@ class HandLink:
         Raises:
             ConnectionEndedError: If the connection has ended, with what the server said.
         """
-        end_s = time.monotonic() + for_s
+        end_s = self._waiting.now_s() + for_s
         while (message := self._read(end_s)) is not None:
             if message["type"] == "error":
                 raise ConnectionEndedError(f"the server ended the hand link: {message['message']}")
@@ -143,7 +146,7 @@ class HandLink:
                 yield message
 
     def _answer(self) -> dict[str, Any]:
-        answer = self._read(time.monotonic() + _CONNECT_S)
+        answer = self._read(self._waiting.now_s() + _CONNECT_S)
         if answer is None:
             raise ConnectionEndedError("the server does not answer the hello: is this its hand port?")
         if answer["type"] != "welcome":
@@ -155,8 +158,7 @@ class HandLink:
     def _read(self, until_s: float) -> dict[str, Any] | None:
         """Return the next message; None if none comes in time."""
         while (end := self._buffer.find(b"\n")) < 0:
-            left_s = max(until_s - time.monotonic(), 0.0)
-            if not select.select([self._socket], [], [], left_s)[0]:
+            if not self._waiting.readable(self._socket, until_s):
                 return None
             try:
                 received = self._socket.recv(_READ_BYTES)

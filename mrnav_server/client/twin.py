@@ -1,15 +1,14 @@
 """The twin stream as a client: a snapshot, then states and events (docs/protocol.md)."""
 
 import json
-import time
-from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self
 
 from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
 
 from mrnav_server.client.errors import ConnectionEndedError
+from mrnav_server.client.waiting import REAL, Waiting
+from mrnav_server.client.web_socket import WebSocket
 
 Message = dict[str, Any]
 _OPEN_S = 10.0
@@ -24,6 +23,7 @@ class Twin:
         token: An operator's or a viewer's token.
         rate_hz: States a second at most; events always come.
         heartbeat: Whether reading also tells the server that a console is watched; only where somebody does.
+        waiting: How it waits.
 
     Attributes:
         snapshot: The first message: vessel, calibration, limits, critical areas.
@@ -34,19 +34,18 @@ class Twin:
         ConnectionEndedError: If the server is not there or refuses.
     """
 
-    def __init__(self, url: str, token: str, rate_hz: float = 60.0, *, heartbeat: bool = False) -> None:
+    def __init__(
+        self, url: str, token: str, rate_hz: float = 60.0, *, heartbeat: bool = False, waiting: Waiting = REAL
+    ) -> None:
         address = f"{url.replace('http', 'ws', 1).rstrip('/')}/ws/twin?rate_hz={rate_hz:g}"
         headers = {"Authorization": f"Bearer {token}"}
-        self._stack = ExitStack()
+        self.waiting = waiting
         self._heartbeat = heartbeat
-        self._beaten_s = time.monotonic()
+        self._beaten_s = waiting.now_s()
         try:
-            self._socket = self._stack.enter_context(
-                connect(address, additional_headers=headers, open_timeout=_OPEN_S, max_size=None, proxy=None)
-            )
-            self.snapshot: Message = json.loads(self._socket.recv(timeout=_OPEN_S))
+            self._socket = WebSocket(address, headers, _OPEN_S, waiting)
+            self.snapshot = self._first()
         except (WebSocketException, OSError) as error:
-            self._stack.close()
             raise ConnectionEndedError(
                 f"no twin at {url} ({error}): name the server's web address and token"
             ) from None
@@ -59,7 +58,7 @@ class Twin:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stack.close()
+        self._socket.close()
 
     def take(self, timeout_s: float) -> Message | None:
         """Return the next message, noted in ``state`` or ``events``; None if none comes in time.
@@ -68,17 +67,29 @@ class Twin:
             ConnectionEndedError: If the connection has ended.
         """
         try:
-            now_s = time.monotonic()
+            now_s = self.waiting.now_s()
             if self._heartbeat and now_s - self._beaten_s > _HEARTBEAT_S:
                 self._beaten_s = now_s
                 self._socket.send('{"type":"heartbeat"}')
-            message: Message = json.loads(self._socket.recv(timeout=timeout_s))
-        except TimeoutError:
-            return None
+            text = self._socket.receive(timeout_s)
         except (WebSocketException, OSError) as error:
             raise ConnectionEndedError(f"the twin stream ended ({error})") from None
+        if text is None:
+            return None
+        message: Message = json.loads(text)
         if message["type"] == "event":
             self.events.append(message)
         elif message["type"] == "state":
             self.state = message
         return message
+
+    def _first(self) -> Message:
+        try:
+            text = self._socket.receive(_OPEN_S)
+            if text is None:
+                raise TimeoutError(f"no snapshot within {_OPEN_S:g} s")
+        except BaseException:
+            self._socket.close()
+            raise
+        snapshot: Message = json.loads(text)
+        return snapshot

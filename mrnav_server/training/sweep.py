@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -87,6 +87,25 @@ class Job:
         return f"{Path(self.model).name}, {self.preset}, {self.algo}, seed {self.seed}{changed}"
 
 
+class PooledJob(Protocol):
+    """Whatever can be done in a process of its own and leaves a folder; a training is one kind."""
+
+    def spec(self) -> dict[str, Any]:
+        """Return all that its process must know, as JSON."""
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+
+    @property
+    def title(self) -> str:
+        """It in a few words, for people."""
+
+
+Work = Callable[[dict[str, Any], Path], None]
+"""Does a job, given its spec and its folder, and leaves a result or an error there; importable by name."""
+
+
 class Sweep(BaseModel):
     """What a sweep's file holds: lists, each multiplied with every other. One value stands for a list of one.
 
@@ -121,7 +140,7 @@ class Event:
         pid: Process of a job that started on this machine.
     """
 
-    job: Job
+    job: PooledJob
     kind: Literal["skipped", "started", "lost", "done", "failed"]
     text: str = ""
     pid: int | None = None
@@ -218,7 +237,7 @@ def run_sweep(jobs: Sequence[Job], out: Path, runner: Runner) -> Events:
     yield from runner(left, out)
 
 
-def settled(job: Job, out: Path) -> Event | None:
+def settled(job: PooledJob, out: Path) -> Event | None:
     """Return what became of a job by what it left on disk; None if it left nothing, so its worker died."""
     if read_result(out / job.name) is not None:
         return Event(job, "done")
@@ -226,7 +245,7 @@ def settled(job: Job, out: Path) -> Event | None:
     return None if error is None else Event(job, "failed", error)
 
 
-def dead(job: Job, times: int, how: str) -> Event:
+def dead(job: PooledJob, times: int, how: str) -> Event:
     """Return what follows when a job's worker died: ``lost``, so it starts again, or ``failed`` at last.
 
     Args:

@@ -14,27 +14,28 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any
 
-from mrnav_server.training.sweep import Event, Events, Job, dead, settled
+from mrnav_server.training.sweep import Event, Events, PooledJob, Work, dead, settled
 from mrnav_server.training.sweep_job import run_job
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def run_on_processes(jobs: Sequence[Job], out: Path, workers: int) -> Events:
+def run_on_processes(jobs: Sequence[PooledJob], out: Path, workers: int, work: Work = run_job) -> Events:
     """Run jobs in processes of this machine; ending the iteration early ends them.
 
     Args:
         jobs: Each job once.
         out: Gets one folder per job.
         workers: Processes at a time, at least 1.
+        work: What is done with each.
     """
-    waiting, lost = deque(jobs), Counter[Job]()
-    running: dict[int, tuple[SpawnProcess, Job]] = {}
+    waiting, lost = deque(jobs), Counter[PooledJob]()
+    running: dict[int, tuple[SpawnProcess, PooledJob]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < workers:
                 job = waiting.popleft()
-                process = _start(job, out)
+                process = _start(job, out, work)
                 running[process.sentinel] = process, job
                 yield Event(job, "started", pid=process.pid)
             for sentinel in wait(list(running)):
@@ -54,8 +55,9 @@ def run_on_processes(jobs: Sequence[Job], out: Path, workers: int) -> Events:
             process.join()
 
 
-def _start(job: Job, out: Path) -> SpawnProcess:
-    process = get_context("spawn").Process(target=_work, args=(job.spec(), out / job.name), daemon=True)
+def _start(job: PooledJob, out: Path, work: Work) -> SpawnProcess:
+    arguments = work, job.spec(), out / job.name
+    process = get_context("spawn").Process(target=_work, args=arguments, daemon=True)
     process.start()
     return process
 
@@ -66,13 +68,13 @@ def _end(code: int) -> str:
     return f"was ended by {signal.Signals(-code).name}"
 
 
-def _work(spec: dict[str, Any], folder: Path) -> None:
+def _work(work: Work, spec: dict[str, Any], folder: Path) -> None:
     signal.signal(
         signal.SIGINT, signal.SIG_IGN
     )  # Ctrl-C reaches the whole group; the sweep ends its workers.
     threading.Thread(target=_die_with_parent, daemon=True).start()
     os.environ.update(dict.fromkeys(_THREADS, "1"))  # Read when PyTorch is imported; Ray does the same.
-    run_job(spec, folder)
+    work(spec, folder)
 
 
 def _die_with_parent() -> None:

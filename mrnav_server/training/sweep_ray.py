@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mrnav_server.core.errors import ConfigError
-from mrnav_server.training.sweep import Event, Events, Job, dead, settled
+from mrnav_server.training.sweep import Event, Events, PooledJob, Work, dead, settled
 from mrnav_server.training.sweep_job import run_job
 
 _REACH_S = 5.0
@@ -37,18 +37,19 @@ def connect(address: str) -> None:
         ) from None
 
 
-def run_on_ray(jobs: Sequence[Job], out: Path) -> Events:
+def run_on_ray(jobs: Sequence[PooledJob], out: Path, work: Work = run_job) -> Events:
     """Run jobs on the cluster that `connect` joined; ending the iteration early ends them.
 
     Args:
         jobs: Each job once.
         out: Gets one folder per job; an absolute path that every node sees, for example on a network drive.
+        work: What is done with each.
     """
     ray = _ray()
     # Ray could start a job again by itself, but then nobody is told which jobs take their workers down.
-    work = ray.remote(num_cpus=1, max_retries=0)(run_job)
-    running: dict[Any, Job] = {work.remote(job.spec(), out / job.name): job for job in jobs}
-    lost = Counter[Job]()
+    remote = ray.remote(num_cpus=1, max_retries=0)(work)
+    running: dict[Any, PooledJob] = {remote.remote(job.spec(), out / job.name): job for job in jobs}
+    lost = Counter[PooledJob]()
     try:
         while running:
             ended, _ = ray.wait(list(running), num_returns=1)
@@ -56,7 +57,7 @@ def run_on_ray(jobs: Sequence[Job], out: Path) -> Events:
                 job = running.pop(reference)
                 event = _end(ray, reference, job, out, lost)
                 if event.kind == "lost":
-                    running[work.remote(job.spec(), out / job.name)] = job
+                    running[remote.remote(job.spec(), out / job.name)] = job
                 yield event
     finally:
         for reference in running:
@@ -64,7 +65,7 @@ def run_on_ray(jobs: Sequence[Job], out: Path) -> Events:
         ray.shutdown()
 
 
-def _end(ray: Any, reference: object, job: Job, out: Path, lost: Counter[Job]) -> Event:  # noqa: ANN401
+def _end(ray: Any, reference: object, job: PooledJob, out: Path, lost: Counter[PooledJob]) -> Event:  # noqa: ANN401
     """Return what became of a job that ended, and count the workers that it lost."""
     try:
         ray.get(reference)

@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 
 from mrnav_server.training.leaderboard import CSV_FILE, JSON_FILE
-from mrnav_server.training.sweep import Job, expand, parse_sweep, run_sweep
+from mrnav_server.training.sweep import Job, PooledJob, expand, parse_sweep, run_sweep
 from mrnav_server.training.sweep_job import read_error, read_result, run_job
 from mrnav_server.training.sweep_pool import run_on_processes
 
@@ -34,7 +34,7 @@ def kill(pid: int | None) -> None:
 
 def test_a_killed_worker_loses_nothing(model: Path, tmp_path: Path) -> None:
     jobs, out = jobs_of(model, 2), tmp_path / "out"
-    kinds: dict[Job, list[str]] = {job: [] for job in jobs}
+    kinds: dict[PooledJob, list[str]] = {job: [] for job in jobs}
     texts = []
     for event in run_sweep(jobs, out, lambda left, where: run_on_processes(left, where, workers=2)):
         if event.kind == "started" and event.job == jobs[0] and not kinds[jobs[0]]:
@@ -52,7 +52,7 @@ def test_a_job_that_keeps_killing_its_worker_is_named_and_another_that_fails_too
     good, killer, wrong = jobs_of(model, 3)
     wrong = Job(wrong.model, "0" * 64, wrong.preset, wrong.algo, wrong.seed, wrong.settings, wrong.pairs)
     out = tmp_path / "out"
-    counts = Counter[tuple[Job, str]]()
+    counts = Counter[tuple[PooledJob, str]]()
     failures = {}
     for event in run_on_processes([killer, wrong, good], out, workers=1):
         counts[event.job, event.kind] += 1

@@ -1,0 +1,19 @@
+"""``mrnav study``: a user study from its plan to its report."""
+
+import typer
+
+from mrnav_server.cli.study_plan import new, status, tell
+from mrnav_server.cli.study_report import study_report
+from mrnav_server.cli.study_simulate import simulate
+
+studies = typer.Typer(no_args_is_help=True, help="User studies: plan, run, simulate, report.")
+
+
+@studies.callback()
+def _group() -> None:
+    """User studies."""
+
+
+studies.command("report")(study_report)
+for command in (new, status, tell, simulate):
+    studies.command()(command)

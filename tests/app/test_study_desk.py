@@ -1,0 +1,180 @@
+"""The experimenter is led: training period, trial, questionnaire, next; nothing is lost by a crash."""
+
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import httpx
+import orjson
+import pytest
+
+from mrnav_server.app.server import create_app
+from mrnav_server.app.study_desk import StudyDesk
+from mrnav_server.core.errors import RefusedError
+from mrnav_server.loops.trial_log import LOG_NAME, Condition, OperatorKind, TrialHeader, header_line, log_line
+from mrnav_server.study.plan import new_plan
+from mrnav_server.study.study_folder import StudyFolder
+from tests.app.fake_rig import OPERATOR_TOKEN, SETTINGS, FakeRig
+
+
+def header(participant: str, condition: Condition) -> TrialHeader:
+    return TrialHeader(
+        participant=participant,
+        condition=condition,
+        operator_kind="human",
+        simulated_rig=True,
+        software_version="1",
+        configuration_sha256="",
+        vessel="bifurcation",
+        vessel_sha256="",
+        um_per_px=10.0,
+        calibration={},
+        start_px=None,
+        area_id=None,
+        area_px=None,
+        area_epsilon_um=None,
+    )
+
+
+class LoggedTrials:
+    """Trials that are nothing but logs."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._numbers = count(1)
+        self.begun: list[tuple[str, str, str]] = []
+        self.ended: list[str] = []
+
+    def list(self) -> list[dict[str, Any]]:
+        return []
+
+    def start(
+        self, participant: str, condition: Condition, operator_kind: OperatorKind, notes: str
+    ) -> dict[str, Any]:
+        trial_id = f"20261122-174500-{next(self._numbers):03d}-{participant}"
+        (self._root / trial_id).mkdir(parents=True)
+        self._log(trial_id).write_bytes(header_line(trial_id, header(participant, condition)))
+        self.begun.append((participant, condition, operator_kind))
+        return {"id": trial_id}
+
+    async def end(self, trial_id: str) -> dict[str, Any]:
+        self.ended.append(trial_id)
+        with self._log(trial_id).open("ab") as file:
+            file.write(log_line(1, 0.0, 0.0, "closed", {"status": "ended", "lost_lines": 0}))
+        return {"id": trial_id}
+
+    async def live_metrics(self, trial_id: str) -> dict[str, Any] | None:
+        return None
+
+    def _log(self, trial_id: str) -> Path:
+        return self._root / trial_id / LOG_NAME
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> StudyFolder:
+    return StudyFolder.create(tmp_path / "study", new_plan(1, ("bifurcation",), 2, 0, training_s=60.0))
+
+
+@pytest.fixture
+def trials(study: StudyFolder) -> LoggedTrials:
+    return LoggedTrials(study.trials)
+
+
+def desk_of(study: StudyFolder, trials: LoggedTrials, vessel: str = "bifurcation") -> StudyDesk:
+    return StudyDesk(study, vessel, trials, lambda: 5.0)
+
+
+async def test_a_whole_block_in_its_order(study: StudyFolder, trials: LoggedTrials) -> None:
+    desk = desk_of(study, trials)
+    assert desk.state()["step"]["kind"] == "training"
+    begun = await desk.next()
+    assert (begun["doing"], begun["left_s"]) == (True, 60.0)
+    with pytest.raises(RefusedError, match="under way"):
+        await desk.next()
+    await desk.finish()
+    for repetition in (1, 2):
+        begun = await desk.next()
+        assert begun["step"]["repetition"] == repetition
+        assert begun["trial"].endswith("P01")
+        await desk.finish()
+    asked = await desk.next()
+    assert (asked["step"]["kind"], asked["trial"]) == ("questionnaire", begun["trial"])
+    with pytest.raises(RefusedError, match=f"/tlx.trial={begun['trial']}"):
+        await desk.finish()
+    condition = study.plan.steps[0].condition
+    assert trials.begun == [("P01", condition, "human")] * 2
+    results = [study.progress(step).trial for step in study.plan.steps if study.progress(step).trial]
+    assert results == trials.ended == [f"20261122-174500-{number:03d}-P01" for number in (1, 2)]
+
+
+async def test_an_interrupted_trial_is_done_again_and_is_no_result(
+    study: StudyFolder, trials: LoggedTrials
+) -> None:
+    desk = desk_of(study, trials)
+    await desk.next()
+    await desk.finish()
+    first = (await desk.next())["trial"]
+    given_up = await desk.interrupt()
+    assert (given_up["again"], given_up["step"]["repetition"]) == (True, 1)
+    with pytest.raises(RefusedError, match="no step is under way"):
+        await desk.finish()
+    second = (await desk.next())["trial"]
+    assert first != second
+    await desk.finish()
+    assert study.progress(study.plan.steps[1]).trial == second
+    assert trials.ended == [first, second]
+
+
+async def test_after_a_crash_the_same_step_comes_again(study: StudyFolder, trials: LoggedTrials) -> None:
+    desk = desk_of(study, trials)
+    await desk.next()
+    await desk.finish()
+    await desk.next()
+    found = StudyFolder(study.folder)
+    assert [step.id for step in found.recover()] == ["P01-02"]
+    state = desk_of(found, trials).state()
+    assert (state["step"]["id"], state["doing"], state["again"]) == ("P01-02", False, True)
+
+
+async def test_a_trial_that_was_ended_elsewhere_is_a_result(study: StudyFolder, trials: LoggedTrials) -> None:
+    desk = desk_of(study, trials)
+    await desk.next()
+    await desk.finish()
+    trial = (await desk.next())["trial"]
+    await trials.end(trial)
+    await desk.finish()
+    assert study.progress(study.plan.steps[1]).trial == trial
+    assert trials.ended == [trial]
+
+
+async def test_another_vessel_is_asked_for(study: StudyFolder, trials: LoggedTrials) -> None:
+    desk = desk_of(study, trials, vessel="network")
+    assert "bifurcation under the microscope" in desk.state()["say"]
+    with pytest.raises(RefusedError, match="bifurcation under the microscope"):
+        await desk.next()
+    assert trials.begun == []
+
+
+async def test_the_end_is_told(study: StudyFolder, trials: LoggedTrials) -> None:
+    for step in study.plan.steps:
+        study.finish(step)
+    desk = desk_of(study, trials)
+    assert "report" in desk.state()["say"]
+    with pytest.raises(RefusedError, match="every step"):
+        await desk.next()
+
+
+async def test_over_rest(study: StudyFolder) -> None:
+    app = create_app(FakeRig(), SETTINGS, study)
+    transport = httpx.ASGITransport(app)
+    token = {"Authorization": f"Bearer {OPERATOR_TOKEN}"}
+    async with httpx.AsyncClient(
+        transport=transport, base_url="http://127.0.0.1:8000", headers=token
+    ) as page:
+        assert (await page.get("/api/v1/study")).json()["steps"] == 8
+        assert (await page.post("/api/v1/study/next")).json()["doing"] is True
+        refused = await page.post("/api/v1/study/next")
+        assert (refused.status_code, refused.json()["code"]) == (409, "step_running")
+        assert (await page.post("/api/v1/study/interrupt")).json()["again"] is True
+        assert orjson.loads((study.folder / "progress.jsonl").read_bytes().splitlines()[-1])["trial"] is None
+    app.state.context.encoder.close()
