@@ -15,14 +15,15 @@ from mrnav_server.autonomy.follower import Follower
 from mrnav_server.autonomy.path import PathPlanner, PlannedPath
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import RefusedError
-from mrnav_server.core.frames import VesselPoint
-from mrnav_server.core.hand import HandControl
+from mrnav_server.core.frames import HandPoint, StagePoint, VesselPoint
+from mrnav_server.core.hand import HandConfig, HandControl
 from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.handover_metrics import HandoverMetrics, handover_metrics
 from mrnav_server.core.lease import Lease
-from mrnav_server.core.metrics import smoothness, trial_motions
+from mrnav_server.core.metrics import trial_motions
 from mrnav_server.core.modes import Ask, Mode
 from mrnav_server.core.motion import Motion
+from mrnav_server.core.motion_metrics import smoothness
 from mrnav_server.core.records import Track, TrackState
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.loops.autopilot import Autopilot
@@ -34,11 +35,12 @@ from mrnav_server.sim.operator_model import OperatorModel, personal
 from mrnav_server.sim.operator_route import Route
 from mrnav_server.sim.world import SimulatedWorld
 
-Style = Literal["blended", "stop", "paper"]
+Style = Literal["blended", "stop", "paper", "abrupt"]
+"""How the server hands over; "abrupt" is no style of its own but the paper's switch without the new zero."""
 AREA_UM = 500.0
-BEYOND_UM = 3000.0
-"""The target lies so far beyond the critical area's centre."""
-LEAST_WAY_UM = 8000.0
+BEYOND_UM = 5000.0
+"""The target lies so far beyond the area's centre: the operator drives on for more than the window."""
+LEAST_WAY_UM = 10_000.0
 PATIENCE_S = 40.0
 _TICK_S = 0.01
 _DISPLAY_S = 0.035
@@ -70,15 +72,50 @@ class HandedOver:
 
 
 def handed_over(
-    vessel: VesselMap, planner: PathPlanner, settings: Settings, style: Style, seed: int
+    vessel: VesselMap,
+    planner: PathPlanner,
+    middle: PathPlanner,
+    settings: Settings,
+    style: Style,
+    seed: int,
 ) -> HandedOver | None:
-    """Return how one hand-over went; None if autonomy did not arrive."""
+    """Return how one hand-over went; None if autonomy did not arrive.
+
+    Args:
+        vessel: The vessel model.
+        planner: Of the autonomy.
+        middle: Of the operator, who keeps to the middle.
+        settings: The server's.
+        style: How control passes.
+        seed: Of all that is drawn.
+    """
     random = np.random.default_rng(seed)
-    start, way = _way(vessel, planner, random)
+    start, way = _way(vessel, middle, random)
     index = len(way.points_px) - 1 - round(BEYOND_UM / (way.spacing_px * vessel.um_per_px))
     center = VesselPoint(*map(float, way.points_px[index]))
     run = _Run(vessel, planner, settings, style, start, seed)
     return run.hand_over(center, way)
+
+
+class _AbruptHand(HandControl):
+    """What the hand did while the policy drove counts at the first grip: for comparison only."""
+
+    def __init__(self, config: HandConfig, speed_um_per_s: float) -> None:
+        super().__init__(config, speed_um_per_s)
+        self.counts_from: HandPoint | None = None
+        self.newest: HandPoint | None = None
+
+    def on_sample(self, sample: HandSample) -> None:
+        super().on_sample(sample)
+        self.newest = sample.point
+
+    def engage(self, base: StagePoint, now_s: float) -> None:
+        before, self.counts_from = self.counts_from, None
+        if before is not None and self.newest is not None:
+            right_um = 1e6 * self.gain * (self.newest.x_m - before.x_m)
+            back_um = 1e6 * self.gain * (self.newest.z_m - before.z_m)
+            base = StagePoint(base.x_um + right_um, base.y_um + back_um, base.z_um)
+        super().engage(base, now_s)
 
 
 def _way(
@@ -111,14 +148,15 @@ class _Run:
         seed: int,
     ) -> None:
         self.vessel, self.planner, self.settings = vessel, planner, settings
-        self.handover = replace(settings.handover, style=style)
+        self.handover = replace(settings.handover, style="paper" if style == "abrupt" else style)
         self.world = SimulatedWorld(replace(settings.sim, start=start, seed=seed), vessel, settings.camera)
         manipulator = SimulatedManipulator(self.world)
         asyncio.run(manipulator.open())
         calibration = self.calibration = self.world.calibration
         self.lease = Lease()
         self.lease.take_hand("operator", "simulated", 0.0)
-        self.hand = HandControl(settings.hand, settings.limits.speed_um_per_s)
+        hand = _AbruptHand if style == "abrupt" else HandControl
+        self.hand = hand(settings.hand, settings.limits.speed_um_per_s)
         self.autopilot = Autopilot(
             replace(settings.autopilot, source="geodesic"),
             Follower(settings.follower, vessel, calibration),
@@ -167,11 +205,13 @@ class _Run:
             return None
         area = CriticalAreas(vessel).add(center, AREA_UM, "")
         control.choose_area(area)
-        slow_um = AREA_UM if self.handover.announced else 0.0
+        slow_um = AREA_UM if self.handover.in_motion(AREA_UM) else 0.0
         self.autopilot.prepare(self.planner.plan(robot, center), center, slow_um)
         for ask in (Ask.ARM, Ask.AUTO):
             control.submit(ask, self.world.time_s)
         go_s = self.world.time_s
+        if isinstance(self.hand, _AbruptHand):
+            self.hand.counts_from = self.hand.newest
         while control.machine.mode is Mode.AUTO:
             self._tick()
             if self.world.time_s - go_s > PATIENCE_S:

@@ -19,13 +19,14 @@ from rich.progress import track
 
 from benchmarks._handover_run import HandedOver, Style, handed_over
 from mrnav_server.autonomy.path import PathPlanner
+from mrnav_server.cli.operator_chart import MIDDLE
 from mrnav_server.settings import Settings
 from mrnav_server.vision.model_store import find_model
 from mrnav_server.vision.vessel_model import load_vessel_model
 from tests.hand_client import HandClient
 from tests.rig_process import RigProcess
 
-STYLES: tuple[Style, ...] = ("blended", "stop", "paper")
+STYLES: tuple[Style, ...] = ("blended", "stop", "paper", "abrupt")
 MODELS = ("bifurcation", "serpentine", "network")
 _LEAST_S, _SPAN_S = 0.3, 0.9
 """A take-over comes this long after AUTO began, at a random moment of the span."""
@@ -84,11 +85,11 @@ def arrivals(style: Style, count: int, seed: int) -> list[HandedOver]:
     """Return hand-overs at arrival, the vessel models in turn."""
     settings = Settings()
     models = [load_vessel_model(find_model(name)) for name in MODELS]
-    planners = [PathPlanner(model) for model in models]
+    planners = [(PathPlanner(model), PathPlanner(model, MIDDLE)) for model in models]
     runs: list[HandedOver] = []
     for number in track(range(count), f"hand-overs, {style} (simulated)", console=Console(stderr=True)):
         which = number % len(models)
-        run = handed_over(models[which], planners[which], settings, style, 1000 * seed + number)
+        run = handed_over(models[which], *planners[which], settings, style, 1000 * seed + number)
         if run is not None:
             runs.append(run)
     return runs
@@ -105,7 +106,7 @@ def summary(runs: dict[Style, list[HandedOver]]) -> dict[str, Any]:
         "s_switch": smooth["blended"],
         "s_manual": _median([run.smoothness_hand for run in everything]),
         "s_auto": _median([run.smoothness_auto for run in everything]),
-        "s_abrupt": smooth["paper"],
+        "s_abrupt": smooth["abrupt"],
         "styles": {style: _style(each) for style, each in runs.items()},
     }
 

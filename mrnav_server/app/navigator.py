@@ -6,8 +6,6 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-from mrnav_server.autonomy.direct import ActionConfig, DirectLaw
-from mrnav_server.autonomy.follower import Follower
 from mrnav_server.autonomy.following import Law
 from mrnav_server.autonomy.grid_graph import GridGraph
 from mrnav_server.autonomy.path import PathPlanner, PlannedPath
@@ -17,6 +15,7 @@ from mrnav_server.core.records import CriticalArea
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import PolicyCard
 from mrnav_server.loops.autopilot import Autopilot, PathOrder
+from mrnav_server.loops.laws import new_law
 from mrnav_server.settings import Settings
 from mrnav_server.vision.model_store import find_model
 
@@ -79,7 +78,7 @@ class Navigator:
 
     def prepare(self, path: PlannedPath, area: CriticalArea) -> None:
         """Have the autopilot take a path to an area; nothing moves before AUTO begins."""
-        slow_um = area.epsilon_um if self._handover.announced else 0.0
+        slow_um = area.epsilon_um if self._handover.in_motion(area.epsilon_um) else 0.0
         self.autopilot.prepare(path, area.center, slow_um, area.epsilon_um)
 
     async def plan_order(self, order: PathOrder) -> PlannedPath | None:
@@ -135,11 +134,7 @@ class Navigator:
 
     def _law(self) -> Law:
         """Return a law that has learnt nothing yet; the follower, too, where the policy cannot be used."""
-        config = self._config
-        if config.law == "path" or self._policy is None:
-            return Follower(self._follower_config, self._vessel, self._calibration)
-        actions = ActionConfig(config.actions_per_s, config.greedy, config.seed)
-        return DirectLaw(self._follower_config, actions, self._policy, self._vessel, self._calibration)
+        return new_law(self._config, self._follower_config, self._policy, self._vessel, self._calibration)
 
     def _ready_planner(self) -> PathPlanner:
         if self._planner is None:

@@ -137,7 +137,7 @@ class Follower:
         if now_s - self._watch.seen_s > config.lost_after_s:
             self._stop(FollowerStatus.LOST, f"the robot was not seen for {config.lost_after_s:.1f} s")
             return
-        if math.dist(self._watch.seen_um, self._moved_um) > 2.0 * config.rest_um:
+        if self._coming or math.dist(self._watch.seen_um, self._moved_um) > 2.0 * config.rest_um:
             self._moved_um, self._moved_s = self._watch.seen_um, now_s
         robot_um = self._watch.robot_now_um()
         self._near, away_um = rail.nearest(robot_um, self._near)
@@ -289,4 +289,9 @@ class Follower:
             self._cross_um,
             self._back_off,
             self._reason,
+            self._coming,
         )
+
+    @property
+    def _coming(self) -> bool:
+        return self._status is FollowerStatus.TAKE_UP and self._drawing.coming

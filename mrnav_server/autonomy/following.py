@@ -122,6 +122,7 @@ class FollowerWish:
         cross_track_um: Distance of the robot to the path, signed.
         back_off: With REPLAN, whether a way off the target is wanted before the next approach.
         reason: Why a final status was taken, in plain words; else "".
+        coming: Whether the magnet is still on its way to a robot that it may not draw yet.
     """
 
     status: FollowerStatus
@@ -132,6 +133,7 @@ class FollowerWish:
     cross_track_um: float
     back_off: bool = False
     reason: str = ""
+    coming: bool = False
 
 
 class Law(Protocol):

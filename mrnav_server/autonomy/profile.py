@@ -8,6 +8,8 @@ from mrnav_server.core.arrays import FloatArray
 
 _WINDOW = 8
 """Curvature is taken over this many points on either side."""
+_READY_UM = 300.0
+"""So far before the area the robot has slowed down already."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +25,8 @@ class SpeedConfig:
         floor_um_per_s: Never slower than this before the end: below, the robot sticks and slips (500–2000).
         end_um_per_s: Speed at the end of the path (300–1500).
         handover_um_per_s: Speed at which the robot enters the area where the operator takes over (600–3000).
+        handover_along_um_per_s2: Deceleration on the way there: gentle, for what swings when control passes
+            swings on under the hand (1000–20000).
         wall_um_per_s: Speed when the rim touches the wall (500–3000).
         wall_clearance_um: Gap below which speed falls towards ``wall_um_per_s`` (0–300).
         short_path_um: Paths up to this length take the two gentler bounds below (0–6000).
@@ -40,6 +44,7 @@ class SpeedConfig:
     floor_um_per_s: float = 1200.0
     end_um_per_s: float = 800.0
     handover_um_per_s: float = 1200.0
+    handover_along_um_per_s2: float = 3000.0
     wall_um_per_s: float = 1500.0
     wall_clearance_um: float = 80.0
     short_path_um: float = 1500.0
@@ -67,7 +72,7 @@ def speed_limits_um_per_s(
         clearance_um: Gap between rim and wall, shape (n,).
         lead_um: The magnet's friction lead.
         config: The bounds.
-        handover_um: The last so many µm go no faster than ``handover_um_per_s``.
+        handover_um: The last so many µm go no faster than ``handover_um_per_s``; 0 for no such area.
 
     Returns:
         Shape (n,), in µm/s.
@@ -89,8 +94,10 @@ def speed_limits_um_per_s(
     share = np.clip(clearance_um / max(config.wall_clearance_um, 1e-9), 0.0, 1.0)
     near_wall = config.wall_um_per_s + (config.cruise_um_per_s - config.wall_um_per_s) * share
     limit = np.maximum(np.minimum(limit, near_wall), min(config.floor_um_per_s, cruise))
-    area = slice(max(0, n - 1 - int(handover_um / max(spacing_um, 1e-9))) if handover_um > 0.0 else n, n)
-    limit[area] = np.minimum(limit[area], config.handover_um_per_s)
+    if handover_um > 0.0:
+        to_area_um = (n - 1 - np.arange(n)) * spacing_um - handover_um - _READY_UM
+        squared = config.handover_um_per_s**2 + 2.0 * config.handover_along_um_per_s2 * to_area_um.clip(0.0)
+        limit = np.minimum(limit, np.sqrt(squared))
     limit[-1] = min(config.end_um_per_s, cruise)
     along = config.short_along_um_per_s2 if short else config.along_um_per_s2
     return _within_acceleration(limit, 2.0 * along * spacing_um)

@@ -9,6 +9,7 @@ from mrnav_server.autonomy.watch import RobotWatch, Vector
 _UNMOVED_UM = 10.0
 """A robot that is seen to have moved by less may still rest."""
 _THERE_UM = 10.0
+_NEAR_UM = 100.0
 
 
 class TakeUp:
@@ -43,6 +44,11 @@ class TakeUp:
     def velocity_um_per_s(self) -> Vector:
         """The magnet's velocity."""
         return self._velocity
+
+    @property
+    def coming(self) -> bool:
+        """Whether the magnet is still on its way to where it may draw the robot."""
+        return math.hypot(*self._to_go_um()) > _NEAR_UM
 
     @property
     def left_s(self) -> float:

@@ -14,13 +14,14 @@ from mrnav_server.core.frames import VesselPoint
 from mrnav_server.sim.operator_route import Route
 from mrnav_server.vision.vessel_model import vessel_map
 
-_MIDDLE = PathConfig(
+MIDDLE = PathConfig(
     wanted_clearance_um=600.0,
     end_nudge_um=0.0,
     coast_um=0.0,
     geodesic_clearance_weight=8.0,
     geodesic_clearance_um=600.0,
 )
+"""A person keeps to the middle, and does not cut corners as the autonomy does."""
 
 
 class Chart:
@@ -39,7 +40,7 @@ class Chart:
         picture = np.frombuffer(rest.get_bytes("/api/v1/vessel.png"), dtype=np.uint8)
         mask = np.asarray(cv2.imdecode(picture, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
         self._vessel = vessel_map(vessel["name"], mask, vessel["um_per_px"], vessel["robot_radius_um"])
-        self._planner = PathPlanner(self._vessel, _MIDDLE)
+        self._planner = PathPlanner(self._vessel, MIDDLE)
         (a, b, tx), (c, d, ty) = snapshot["calibration"]["stage_from_vessel"]
         self._turn = np.array([[a, c], [b, d]])
         self._shift_um = np.array([tx, ty])

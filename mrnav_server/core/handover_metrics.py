@@ -6,8 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrnav_server.core.arrays import FloatArray
-from mrnav_server.core.metrics import SLOWEST_UM_PER_S, MedianLog, peak_speed_um_per_s, smoothness
 from mrnav_server.core.motion import RATE_HZ, Motion
+from mrnav_server.core.motion_metrics import (
+    SLOWEST_UM_PER_S,
+    MedianLog,
+    peak_speed_um_per_s,
+    smoothness,
+)
 
 WINDOW_S = 2.5
 """The hand-over's window, from the switch on."""

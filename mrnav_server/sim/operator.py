@@ -24,6 +24,8 @@ MODEL_NAME = "local steering law, intermittent"
 _STEP_S = 1.0 / 120.0
 _HOMING_UM = 400.0
 """So near, the operator aims at the target itself and no longer along the middle."""
+_PURSUIT_S = 0.1
+"""The eye needs so long to pursue a change of the robot's velocity."""
 _FAR_UM = 140.0
 """Let go further off than this, the operator takes hold again."""
 _LOOK_S = 0.3
@@ -109,6 +111,7 @@ class SimulatedOperator:
         self._hand_m = np.zeros(2)
         self._gripped_m = np.zeros(2)
         self._moved_um: deque[tuple[float, FloatArray]] = deque()
+        self._pursued_um_per_s = np.zeros(2)
         self.regrips = 0
         """How often it gripped anew."""
         self._begin_movement(-math.inf)
@@ -144,12 +147,15 @@ class SimulatedOperator:
 
     def _advance(self, now_s: float) -> None:
         while self._shown and self._shown[0].t_s <= now_s - self._model.visual_delay_s:
-            self._seen = self._shown.popleft()
+            self._watch(self._shown.popleft())
         if self._seen is None:
             return
         self._heed(self._seen, now_s)
+        # The hand's share is announced and practised: its course needs no look.
+        share = self._shown[-1].authority if self._shown else self._seen.authority
+        self._expect(1.0 - share, now_s)
         if self._phase is Phase.STEERING:
-            self._steer(self._seen, now_s)
+            self._steer(self._seen, share, now_s)
         elif self._phase is Phase.REGRIPPING:
             self._go_back(now_s)
         else:
@@ -158,6 +164,21 @@ class SimulatedOperator:
                 self._grip(now_s)
             elif self._phase is Phase.FINISHED and self._has_slipped(self._seen):
                 self._cue(now_s + self._model.grip_s)
+
+    def _watch(self, seen: Sight) -> None:
+        """Perceive a picture, and how fast the robot goes by itself."""
+        before, self._seen = self._seen, seen
+        if before is None or before.robot_um is None or seen.robot_um is None or seen.t_s <= before.t_s:
+            return
+        passed_s = seen.t_s - before.t_s
+        velocity = (np.array(seen.robot_um) - np.array(before.robot_um)) / passed_s
+        share = 1.0 - math.exp(-passed_s / _PURSUIT_S)
+        self._pursued_um_per_s = self._pursued_um_per_s + share * (velocity - self._pursued_um_per_s)
+
+    def _expect(self, share: float, now_s: float) -> None:
+        """Expect of the autonomy, as far as it drives, that the robot goes on as it is seen to go."""
+        if share > 0.0:
+            self._moved_um.append((now_s, share * self._pursued_um_per_s * _STEP_S))
 
     def _heed(self, seen: Sight, now_s: float) -> None:
         """Follow the cues: the hand-over announced, the hand-over, the go, and a rig that stands still."""
@@ -204,7 +225,7 @@ class SimulatedOperator:
         self._course_um = 0.0
         self._planned_s, self._next_s = now_s, now_s
 
-    def _steer(self, seen: Sight, now_s: float) -> None:
+    def _steer(self, seen: Sight, share: float, now_s: float) -> None:
         model, route = self._model, self._route
         if route is None:
             return
@@ -217,7 +238,7 @@ class SimulatedOperator:
         step_um = 1e6 * model.gain * velocity * _STEP_S
         self._course_um += float(np.hypot(*step_um))
         self._hand_m = self._hand_m + velocity * _STEP_S
-        self._moved_um.append((now_s, seen.authority * step_um))
+        self._moved_um.append((now_s, share * step_um))
         stretched_m = float(np.hypot(*(self._hand_m - self._gripped_m)))
         soon_m = float(np.hypot(*(self._hand_m + 0.25 * velocity - self._gripped_m)))
         if soon_m > model.reach_m and stretched_m > 0.8 * model.reach_m:
@@ -295,7 +316,7 @@ class SimulatedOperator:
         self._course, self._course_um = (speed, sideways, turn), along_um
 
     def _underway_um(self, now_s: float) -> FloatArray:
-        """Return what the hand has asked of the robot that the percept cannot show yet."""
+        """Return what hand and autonomy have asked of the robot that the percept cannot show yet."""
         since_s = now_s - self._model.visual_delay_s - self._model.system_delay_s
         while self._moved_um and self._moved_um[0][0] < since_s:
             self._moved_um.popleft()

@@ -58,8 +58,8 @@ class OperatorModel:
         reaction_s: From the perceived cue to reaching out (optimistic: distracted drivers take over after a
             median of 4.56 s; Eriksson & Stanton 2017).
         grip_s: Closing or opening the clutch.
-        patience_s: Ready before the announced hand-over, the operator takes over by itself so long after its
-            time (assumed).
+        patience_s: Ready before the announced hand-over, the operator closes the clutch so long after the
+            countdown ran out (assumed).
         start_s: From the perceived go to closing the clutch, without a hand-over (assumed).
         content_um: Robot's distance to the target that the operator is content with.
         content_s: How long it must hold.
@@ -98,7 +98,7 @@ class OperatorModel:
     regrip_s: float = 0.8
     reaction_s: float = 0.6
     grip_s: float = 0.2
-    patience_s: float = 0.25
+    patience_s: float = 0.0
     start_s: float = 0.35
     content_um: float = 120.0
     content_s: float = 0.3

@@ -13,8 +13,9 @@ from mrnav_server.core.handover_metrics import (
     largest_jump_um,
     standstill_s,
 )
-from mrnav_server.core.metrics import smoothness, trial_motions
+from mrnav_server.core.metrics import trial_motions
 from mrnav_server.core.motion import Motion
+from mrnav_server.core.motion_metrics import smoothness
 
 NOTHING = (np.zeros(0), np.zeros((0, 3)))
 

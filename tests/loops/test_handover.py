@@ -71,7 +71,7 @@ def test_the_policys_motion_ends_within_its_bounds(
 
 
 def test_the_hand_moves_the_tip_by_its_share_and_wholly_in_the_end() -> None:
-    blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(), 500.0, 0.0)
+    blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(smooth_s=0.0), 500.0, 0.0)
     blend.reference(by_hand(7000.0), 0.0, SPEED)
     half = blend.reference(by_hand(7100.0), 0.4, SPEED)
     assert half is not None
@@ -83,6 +83,31 @@ def test_the_hand_moves_the_tip_by_its_share_and_wholly_in_the_end() -> None:
     assert whole.velocity_um_per_s[0] == 900.0
 
 
+def test_the_hand_is_averaged_at_first_and_not_in_the_end() -> None:
+    config = HandoverConfig(blend_s=0.0, smooth_s=0.1, settle_s=1.0)
+    blend = Blend(AT, (0.0, 0.0, 0.0), config, 500.0, 0.0)
+    places = []
+    for tick in range(200):
+        reference = blend.reference(by_hand(1000.0 * tick * 0.001), tick * 0.001, SPEED)
+        assert reference is not None
+        places.append(reference.position.x_um - 1000.0)
+    # A steady hand arrives late by half of the time over which it is averaged.
+    assert 199.0 - places[-1] == pytest.approx(0.5 * 1000.0 * 0.1 * (1 - 0.2**2 * (3 - 0.4)), abs=3.0)
+    last = blend.reference(by_hand(500.0), 1.5, SPEED)
+    assert last is not None
+    assert last.position.x_um == pytest.approx(1500.0)
+
+
+def test_the_policys_motion_goes_on_along_its_way() -> None:
+    way_um = [(100.0, 0.0), (0.0, 1000.0)]
+    blend = Blend(AT, (1000.0, 0.0, 0.0), HandoverConfig(), 500.0, 0.0, way_um)
+    assert blend.rest_point.array() == pytest.approx([1100.0, 2300.0, 3000.0])
+    bent = blend.reference(None, 0.4, SPEED)
+    assert bent is not None
+    assert bent.velocity_um_per_s[0] == pytest.approx(0.0)
+    assert bent.velocity_um_per_s[1] > 300.0
+
+
 def test_a_clutch_that_was_opened_meanwhile_is_a_new_zero() -> None:
     blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(), 500.0, 0.0)
     blend.reference(by_hand(0.0), 0.5, SPEED)
@@ -92,7 +117,7 @@ def test_a_clutch_that_was_opened_meanwhile_is_a_new_zero() -> None:
     assert anew.position.x_um == pytest.approx(1000.0)
 
 
-@pytest.mark.parametrize("name", ["announce_s", "blend_s", "carry_um"])
+@pytest.mark.parametrize("name", ["announce_s", "blend_s", "carry_um", "smooth_s", "settle_s"])
 def test_nonsense_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         HandoverConfig(**{name: -1.0})  # type: ignore[arg-type]
