@@ -3,6 +3,7 @@
 import asyncio
 import json
 import sys
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,10 @@ from mrnav_server.core.errors import MrnavError
 from mrnav_server.loops.priority import make_ordinary
 
 _PATIENCE_S = 120.0
+
+
+Report = Callable[[Path], Awaitable[dict[str, Any]]]
+"""Writes a finished trial's report into its folder and returns the result; raises ReportError."""
 
 
 class ReportError(MrnavError):

@@ -9,14 +9,17 @@ from typing import Any
 from mrnav_server import __version__
 from mrnav_server.app.bench import Bench
 from mrnav_server.app.navigator import Navigator
-from mrnav_server.app.reporting import ReportError, trial_report
+from mrnav_server.app.reporting import Report, ReportError, trial_report
 from mrnav_server.app.telemetry import Telemetry
 from mrnav_server.app.trial_video import TrialVideo
 from mrnav_server.core.errors import RefusedError
+from mrnav_server.core.metrics import trial_metrics
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import calibration_fields
 from mrnav_server.loops.control import ControlLoop
+from mrnav_server.loops.live_trial import LiveTrial
 from mrnav_server.loops.recorder import Recorder
+from mrnav_server.loops.state_image import state_image
 from mrnav_server.loops.trial_log import Condition, OperatorKind, TrialHeader, list_trials
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
@@ -37,6 +40,7 @@ class TrialDesk:
         telemetry: Latencies and counters.
         film: Records the trial's video.
         announce: Tells everybody what happened, and records it.
+        report: Makes a finished trial's report.
     """
 
     def __init__(
@@ -52,7 +56,10 @@ class TrialDesk:
         telemetry: Telemetry,
         film: TrialVideo,
         announce: Callable[[str, Mapping[str, object]], None],
+        report: Report = trial_report,
     ) -> None:
+        self._report = report
+        self.live = LiveTrial(vessel.um_per_px, vessel.clearance_um)
         self._settings = settings
         self._root = root
         self._recorder = recorder
@@ -72,6 +79,19 @@ class TrialDesk:
             {"id": info.id, "status": info.status, **dataclasses.asdict(info.header)}
             for info in list_trials(self._root)
         ]
+
+    async def live_metrics(self, trial_id: str) -> dict[str, Any] | None:
+        """Return the running trial's metrics up to now; None if it does not run, or has no track."""
+        trial = self.live.trial(self._marks.go_s, self._marks.reached_s)
+        if trial is None or trial_id != self._recorder.trial:
+            return None
+        metrics = await asyncio.to_thread(trial_metrics, trial)
+        return {
+            "id": trial_id,
+            "reached": trial.reached,
+            "elapsed_s": trial.end_s - trial.go_s,
+            "metrics": dataclasses.asdict(metrics),
+        }
 
     def start(
         self, participant: str, condition: Condition, operator_kind: OperatorKind, notes: str
@@ -102,11 +122,24 @@ class TrialDesk:
             notes=notes,
         )
         trial_id = self._recorder.start_trial(header)
+        self._recorder.record("settings", self._settings.public())
+        self._recorder.record("state", self._state())
         self._film.begin(self._root / trial_id)
         self._marks.restart()
+        self.live.begin()
         self._telemetry.restart()
         self._announce("trial", {"mark": "start", "id": trial_id})
         return {"id": trial_id, "folder": str(self._root / trial_id)}
+
+    def _state(self) -> dict[str, object]:
+        """Return what the next decisions depend on; a trial is not refused because it cannot be replayed."""
+        try:
+            return {
+                "calibration": state_image(self._bench.calibration),
+                "control": state_image(self._control),
+            }
+        except TypeError as error:
+            return {"missing": str(error)}
 
     async def end(self, trial_id: str) -> dict[str, Any]:
         """End the running trial; return its marks, latencies and metrics. Its log is safe on disk.
@@ -132,10 +165,11 @@ class TrialDesk:
                 summary["simulated_truth"] = {"collisions": truth.collisions, "lifted": truth.lifted}
             self._announce("trial", {"mark": "end", **summary})
             folder = await self._recorder.end_trial()
+            self.live.end()
         if folder is None:
             return summary
         try:
-            report: dict[str, Any] = await trial_report(folder)
+            report: dict[str, Any] = await self._report(folder)
         except ReportError as error:
             report = {"report_error": str(error)}
         return report | summary | {"folder": str(folder)}

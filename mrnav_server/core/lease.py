@@ -34,6 +34,8 @@ class Lease:
         self._displaced: set[str] = set()
         self.on_silent: Callable[[str], None] = lambda _: None
         """Told whose seat was freed by silence, by the name that people know."""
+        self.on_hand_lost: Callable[[str, str, str], None] = lambda *_: None
+        """Told the hand's session, a code and plain words, when its seat went to another or to silence."""
 
     @property
     def epoch(self) -> int:
@@ -110,19 +112,25 @@ class Lease:
         A hand that loses its seat so does not sit down again before it says hello anew.
         """
         self._claimed = False
-        for seat in (self._console, self._hand):
+        hand = self._hand
+        for seat in (self._console, hand):
             if seat is not None and seat.session != session:
                 self._displaced.add(seat.session)
                 self.give_back(seat.session)
         self.take_console(session, client, now_s)
+        if hand is not None and hand is not self._hand:
+            self.on_hand_lost(hand.session, "displaced", f"{client} took control over: connect anew")
 
     def expire(self, now_s: float) -> list[str]:
         """Free the seats that were silent too long; return their sessions."""
-        seats = (self._console, self._hand)
+        seats, hand = (self._console, self._hand), self._hand
         silent = [seat for seat in seats if seat is not None and now_s - seat.heard_s > self._ttl_s]
         for seat in silent:
             self.give_back(seat.session)
             self.on_silent(seat.client)
+            if seat is hand:
+                reason = f"the hand was silent for {self._ttl_s:g} s: its seat is free for others"
+                self.on_hand_lost(seat.session, "silent", reason)
         return [seat.session for seat in silent]
 
     def state(self) -> LeaseState:

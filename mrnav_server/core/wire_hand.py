@@ -203,6 +203,11 @@ def welcome_line(
     )
 
 
+def lease_line(lease: bool, code: str, message: str) -> bytes:
+    """Return what tells a hand that it lost the rig's seat, did not get it, or has it again."""
+    return encode_line({"type": "lease", "lease": lease, "code": code, "message": message})
+
+
 def error_line(code: str, message: str) -> bytes:
     """Return the last line to a peer that is dropped."""
     return encode_line({"type": "error", "code": code, "message": message})

@@ -1,8 +1,11 @@
 """Drives in AUTO: asks for paths, lets the follower lead the robot along them, and says when it is stuck."""
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
 
 from mrnav_server.autonomy.following import FollowerStatus, FollowerWish, Law
 from mrnav_server.autonomy.path import PlannedPath
@@ -10,9 +13,17 @@ from mrnav_server.core.frames import StagePoint, VesselPoint
 from mrnav_server.core.navigation import MAX_STEPS
 from mrnav_server.core.records import TipReading, Track
 from mrnav_server.core.shaping import Reference
+from mrnav_server.loops.descent import HeightConfig
 from mrnav_server.loops.progress import Progress
 
 _DISPLAY_POINTS = 64
+_STRIDE = 5
+
+Log = Callable[[str, dict[str, Any]], None]
+
+
+def _unheard(topic: str, data: Mapping[str, object]) -> None:
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +43,7 @@ class AutopilotConfig:
         most_reversals: AUTO ends when the robot has turned back more often than this without coming nearer
             (0-100).
         most_replans: AUTO ends when the robot has left its path more often than this in one task (0-100).
+        height: At which height of the magnet it drives.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
@@ -44,6 +56,7 @@ class AutopilotConfig:
     progress_s: float = 2.0
     most_reversals: int = 10
     most_replans: int = 10
+    height: HeightConfig = field(default_factory=HeightConfig)
 
     def __post_init__(self) -> None:
         if self.law == "direct" and self.source != "policy":
@@ -99,7 +112,10 @@ class Autopilot:
         um_per_px: float,
         refusal: str,
     ) -> None:
+        self.height = config.height
         self.refusal = refusal
+        self.log: Log = _unheard
+        """Told of every path that is taken, for a replay."""
         self.order: PathOrder | None = None
         self._config = config
         self._law = law
@@ -122,6 +138,14 @@ class Autopilot:
         stride = max(1, math.ceil(len(points) / (_DISPLAY_POINTS - 1)))
         thinned = [*points[::stride], points[-1]]
         return tuple((float(x), float(y)) for x, y in thinned)
+
+    def ahead(self, at: VesselPoint) -> list[VesselPoint]:
+        """Return the planned path from the point nearest to a place on, thinned; empty without one."""
+        if self._path is None:
+            return []
+        points = self._path.points_px
+        nearest = int(np.argmin(np.hypot(points[:, 0] - at.x_px, points[:, 1] - at.y_px)))
+        return [VesselPoint(float(x), float(y)) for x, y in points[nearest::_STRIDE]]
 
     @property
     def handover_s(self) -> float | None:
@@ -157,6 +181,16 @@ class Autopilot:
             handover_um: So far from there the operator takes over.
             epsilon_um: So near to it the robot must rest.
         """
+        self.log(
+            "path",
+            {
+                "call": "prepare",
+                "goal_px": (target.x_px, target.y_px),
+                "handover_um": handover_um,
+                "epsilon_um": epsilon_um,
+                **_path_fields(path),
+            },
+        )
         self._path, self._target = path, target
         self._handover_um, self._epsilon_um = handover_um, epsilon_um
 
@@ -182,6 +216,7 @@ class Autopilot:
         """Take the path of an order; None (no way off the target) asks for the direct way instead."""
         if order is not self.order:
             return
+        self.log("path", {"call": "deliver", **_path_fields(path)})
         if path is None:
             self.order = replace(order, back_off=False)
             return
@@ -190,6 +225,7 @@ class Autopilot:
     def decline(self, order: PathOrder, reason: str) -> None:
         """Take note that an order cannot be met: the policy gives up."""
         if order is self.order:
+            self.log("path", {"call": "decline", "reason": reason})
             self._gave_up = reason
 
     def reference(self, seen: Track | None, tip: TipReading, z_um: float, now_s: float) -> Reference | None:
@@ -212,6 +248,9 @@ class Autopilot:
             self._law.watch(seen, tip)
             return None
         self._wish = wish = self._law.step(now_s, seen, tip)
+        if wish.coming:
+            # A magnet that is far from the robot does not draw it yet.
+            self._progress.restart(seen.vessel, now_s)
         self._progress.note(seen.vessel, wish.remaining_um, now_s)
         if wish.status is FollowerStatus.REPLAN:
             self._replan(seen.vessel, self._target, back_off=wish.back_off)
@@ -219,6 +258,13 @@ class Autopilot:
         if wish.status in (FollowerStatus.STUCK, FollowerStatus.LOST):
             return None
         return Reference(StagePoint(*wish.tip_um, z_um), (*wish.velocity_um_per_s, 0.0), self._speed_um_per_s)
+
+    def wait(self, seen: Track | None, tip: TipReading, now_s: float) -> None:
+        """Begin anew later: the magnet is being brought to the robot."""
+        self._law.watch(seen, tip)
+        if seen is not None and seen.vessel is not None:
+            self._progress.restart(seen.vessel, now_s)
+        self._fresh_path = self._path is not None
 
     def watch(self, seen: Track | None, tip: TipReading) -> None:
         """Learn from motion that the operator commands, so that AUTO begins with what MANUAL taught."""
@@ -242,3 +288,17 @@ class Autopilot:
         self._replans += not back_off and self._path is not None and not self._path.back_off
         if self._replans > self._config.most_replans:
             self._gave_up = f"the robot has left its path {self._replans} times"
+
+
+def _path_fields(path: PlannedPath | None) -> dict[str, object]:
+    """Return a path for the log; how far the target is from everywhere follows from the vessel model."""
+    if path is None:
+        return {"points_px": None}
+    return {
+        "points_px": path.points_px.tolist(),
+        "tangents": path.tangents.tolist(),
+        "target_px": (path.target.x_px, path.target.y_px),
+        "source": path.source,
+        "fallback": path.fallback,
+        "back_off": path.back_off,
+    }

@@ -4,7 +4,8 @@
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from mrnav_server.core.errors import DeviceError, RefusedError
 from mrnav_server.core.frames import Calibration, StagePoint
@@ -17,6 +18,8 @@ from mrnav_server.core.shaping import Reference
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.devices.base import Manipulator
 from mrnav_server.loops.autopilot import Autopilot
+from mrnav_server.loops.coast import steps
+from mrnav_server.loops.descent import Descent
 from mrnav_server.loops.drive import Drive, Log
 from mrnav_server.loops.errand import Errand
 from mrnav_server.loops.guards import (
@@ -30,7 +33,7 @@ from mrnav_server.loops.handover import Blend, HandoverConfig
 from mrnav_server.loops.scene import Scene
 from mrnav_server.loops.sharing import Sharing
 from mrnav_server.loops.stopping import Stopping
-from mrnav_server.loops.surroundings import Surroundings
+from mrnav_server.loops.surroundings import Outlook, Surroundings
 from mrnav_server.loops.timing import RollingLatency
 
 
@@ -64,7 +67,8 @@ class ControlLoop:
         lease: Who controls the rig.
         hand: The operator's hand.
         autopilot: Drives in AUTO.
-        log: Called with a topic and a payload for every command.
+        log: Called with a topic and a payload for everything that a replay needs: what the loop is fed with,
+            and what it decides (docs/recording.md).
         on_change: Called with every change of mode.
     """
 
@@ -99,9 +103,13 @@ class ControlLoop:
         self._lease = lease
         self._hand = hand
         self._autopilot = autopilot
+        self._log = log
         self._tell_change = on_change
+        self._descent = Descent(autopilot.height, calibration)
         self._stopping = Stopping(guards.tip_age_s)
         self._asks: list[Ask] = []
+        self._outlook = Outlook()
+        self._stepping = False
         self._tip_fault = ""
         self._told_fault = ""
         self._supervised_by_hand = False
@@ -116,6 +124,11 @@ class ControlLoop:
     def facts(self) -> Facts:
         """What was true at the last step."""
         return self._facts
+
+    @property
+    def outlook(self) -> Outlook:
+        """What everybody outside said at the last step."""
+        return self._outlook
 
     @property
     def setpoint(self) -> StagePoint | None:
@@ -139,6 +152,7 @@ class ControlLoop:
         self._calibration = calibration
         self.scene.recalibrate(calibration)
         self.drive.recalibrate(calibration)
+        self._descent.recalibrate(calibration)
         self.generation += 1
 
     def choose_area(self, area: CriticalArea | None) -> None:
@@ -151,6 +165,7 @@ class ControlLoop:
             raise RefusedError("busy", "the policy is driving: hold first")
         self.generation += area != self.scene.area
         self.scene.area = area
+        self._log("area", {"within_step": self._stepping, **_area_fields(area)})
 
     def on_hand(self, received_s: float, now_s: float) -> None:
         """Step at once for a fresh hand sample, and time it from the arrival of its line."""
@@ -164,9 +179,7 @@ class ControlLoop:
         Raises:
             RefusedError: If it would not be granted.
         """
-        self._facts = self._gather(now_s)
-        self.machine.check(ask, self._facts)
-        self.errand.told(ask)
+        self._check(ask, now_s, submitted=False)
 
     def submit(self, ask: Ask, now_s: float) -> None:
         """Grant an ask in a step of its own.
@@ -174,7 +187,7 @@ class ControlLoop:
         Raises:
             RefusedError: If it is not granted, with the reason.
         """
-        self.check(ask, now_s)
+        self._check(ask, now_s, submitted=True)
         self.generation += 1
         self._asks.append(ask)
         self.step(now_s)
@@ -186,6 +199,7 @@ class ControlLoop:
             reason: Who and why, for the operator.
         """
         self._told_fault = reason
+        self._log("fail", {"reason": reason})
 
     def step(self, now_s: float) -> None:
         """Read, settle the mode, and move or not.
@@ -195,6 +209,13 @@ class ControlLoop:
         """
         # Before anything else: the answer may be that this step comes too late to move anything.
         self._beat()
+        self._stepping = True
+        try:
+            self._decide(now_s)
+        finally:
+            self._stepping = False
+
+    def _decide(self, now_s: float) -> None:
         dt_s = 0.0 if self._stepped_s is None else now_s - self._stepped_s
         self._stepped_s = now_s
         # A hand that comes into view closed takes over from the policy, but wakes nothing that rests.
@@ -206,6 +227,8 @@ class ControlLoop:
         if self.machine.mode is Mode.AUTO and self._handover.sharing.enabled:
             closing = self._share(closing=closing, now_s=now_s)
         facts = self._gather(now_s, closing=closing)
+        by = "ask" if self._asks else "tick" if self._sample_s is None else "hand"
+        self._log("step", {"now_s": now_s, "by": by, **self._tip_fields()})
         self._facts = facts
         self.generation += closing
         asks, self._asks = self._asks, []
@@ -241,17 +264,31 @@ class ControlLoop:
             return True
         return False
 
+    def _check(self, ask: Ask, now_s: float, *, submitted: bool) -> None:
+        self._facts = self._gather(now_s)
+        refused = ""
+        try:
+            self.machine.check(ask, self._facts)
+            self.errand.told(ask)
+        except RefusedError as error:
+            refused = str(error)
+            raise
+        finally:
+            fields = {"now_s": now_s, "ask": ask.value, "submitted": submitted, "refused": refused}
+            self._log("ask", fields | self._tip_fields())
+
     def _gather(self, now_s: float, *, closing: bool = False) -> Facts:
         self._read_tip()
-        self._lease.expire(now_s)
-        lease = self._lease.state()
-        if not lease.hand:
+        around = self.surroundings.look(self._lease, self._guards.console_s, now_s)
+        if around != self._outlook:
+            self._outlook = around
+            self._log("around", asdict(around))
+        if not around.hand_seated:
             self._hand.lose()
         fresh = self._hand.fresh(now_s) and not self.errand.reserved
-        scene, around = self.scene, self.surroundings
-        recorder_fault, supervisor_fault = around.recorder_fault(), around.supervisor_fault()
+        scene = self.scene
         return Facts(
-            leased=self._lease.held,
+            leased=around.leased,
             hand_fresh=fresh,
             clutch_closing=closing,
             at_rest=self._at_rest(now_s),
@@ -262,14 +299,14 @@ class ControlLoop:
                 "the manipulator is being stopped: wait until it rests" if self._stopping.pending else ""
             )
             or self._arm_refusal()
-            or recorder_fault
-            or supervisor_fault,
-            auto_refusal=self._auto_refusal(fresh, now_s) or recorder_fault or supervisor_fault,
-            warning=recorder_fault
-            or supervisor_fault
-            or "; ".join(around.device_warnings())
-            or around.camera_fault()
-            or around.drift_warning()
+            or around.recorder_fault
+            or around.supervisor_fault,
+            auto_refusal=self._auto_refusal(fresh, now_s) or around.recorder_fault or around.supervisor_fault,
+            warning=around.recorder_fault
+            or around.supervisor_fault
+            or around.device_warnings
+            or around.camera_fault
+            or around.drift_warning
             or track_refusal(scene.track, scene.seen, self._guards, now_s),
         )
 
@@ -298,12 +335,13 @@ class ControlLoop:
         """Return the first guard of AUTO that is not satisfied, or ""."""
         if self._supervised_by_hand and not hand_fresh:
             return "nobody supervises: the hand is silent"
-        supervised = hand_fresh or self._lease.console_heard_within(self._guards.console_s, now_s)
+        around = self._outlook
+        supervised = hand_fresh or around.console_heard
         return (
-            ("" if self._lease.held else "nobody controls the rig: take the lease first")
+            ("" if around.leased else "nobody controls the rig: take the lease first")
             or ("" if supervised else "nobody supervises: neither hand nor console is heard")
-            or self.surroundings.camera_fault()
-            or self.surroundings.drift_fault()
+            or around.camera_fault
+            or around.drift_fault
             or track_refusal(self.scene.track, self.scene.seen, self._guards, now_s)
             or coupling_refusal(self.scene.lead_um, self._guards)
             or ("" if self.scene.area else "no critical area is chosen: mark one first")
@@ -324,7 +362,7 @@ class ControlLoop:
         if area is None or tip_um is None or self.machine.mode is not Mode.AUTO:
             return False
         robot_there = robot_um is not None and robot_um <= area.epsilon_um
-        small = self._handover.style == "blended" and area.epsilon_um < self._handover.rest_below_um
+        small = self._handover.announced and not self._handover.in_motion(area.epsilon_um)
         if self._autopilot.at_target or self._handover.style == "stop" or small:
             # At rest the friction lead may keep the tip outside a small area for ever.
             return robot_there and self._autopilot.at_target
@@ -334,6 +372,7 @@ class ControlLoop:
         self.generation += 1
         if change.after is not Mode.HOLD:
             self.errand.end(change.reason or "the rig was disarmed")
+        self._blend = self._blend_of(change, now_s)
         if change.before is Mode.AUTO:
             self._autopilot.end()
         if change.after in (Mode.STOP, Mode.FAULT):
@@ -344,7 +383,6 @@ class ControlLoop:
             self.drive.begin(tip)
             self._stopping.end()
             self._beat()
-        self._blend = self._blend_of(change, now_s)
         self._sharing = None
         if change.after is not Mode.MANUAL:
             self._hand.release()
@@ -355,6 +393,7 @@ class ControlLoop:
         self._supervised_by_hand = change.after is Mode.AUTO and self._facts.hand_fresh
         self._announced = False
         if change.after is Mode.AUTO and seen is not None and tip is not None:
+            self._descent.begin()
             self._autopilot.begin(seen, tip, now_s)
         self._tell_change(change)
 
@@ -364,13 +403,20 @@ class ControlLoop:
             return None
         shaper, area = self.drive.shaper, self.scene.area
         epsilon_um = area.epsilon_um if area is not None else 0.0
-        return Blend(shaper.position, shaper.velocity_um_per_s, self._handover, epsilon_um, now_s)
+        held = self._calibration.held_point(shaper.position)
+        way_um = steps([self._calibration.stage_xy_um(point) for point in self._autopilot.ahead(held)])
+        return Blend(shaper.position, shaper.velocity_um_per_s, self._handover, epsilon_um, now_s, way_um)
 
     def _wish(self, mode: Mode, now_s: float) -> Reference | None:
         """Return where the mode wants the tip; None to come to rest."""
         scene = self.scene
         if mode is Mode.AUTO and scene.tip is not None:
-            z_um = self.drive.shaper.position.z_um
+            setpoint = self.drive.shaper.position
+            down = self._descent.reference(scene.robot, scene.tip.position, setpoint)
+            if down is not None:
+                self._autopilot.wait(scene.seen, scene.tip, now_s)
+                return down
+            z_um = setpoint.z_um
             wish = self._autopilot.reference(scene.seen, scene.tip, z_um, now_s)
             self._announce()
             return self._with_hand(wish, now_s)
@@ -411,9 +457,28 @@ class ControlLoop:
     def _beat(self) -> None:
         self.surroundings.beat(self.machine.mode in ARMED or self._stopping.pending)
 
+    def _tip_fields(self) -> dict[str, object]:
+        """Return the reading that this step goes by, for the log."""
+        tip = self.scene.tip
+        if tip is None or self._tip_fault:
+            return {"tip_fault": self._tip_fault}
+        at = tip.position
+        return {"tip_taken_s": tip.taken_s, "tip_um": (at.x_um, at.y_um, at.z_um), "tip_moving": tip.moving}
+
     def _read_tip(self) -> None:
         try:
             self.scene.tip = self._manipulator.tip()
             self._tip_fault = ""
         except DeviceError as error:
             self._tip_fault = f"manipulator: {error}"
+
+
+def _area_fields(area: CriticalArea | None) -> dict[str, Any]:
+    if area is None:
+        return {"id": None}
+    return {
+        "id": area.id,
+        "center_px": (area.center.x_px, area.center.y_px),
+        "epsilon_um": area.epsilon_um,
+        "label": area.label,
+    }

@@ -129,6 +129,7 @@ class Drive:
             sent = self._manipulator.move_to(target, speed_um_per_s, now_s)
         except DeviceError as error:
             self.fault = f"manipulator: {error}"
+            self._log("command_failed", {"setpoint_um": _xyz(wished), "reason": self.fault})
             return None
         self._watch.sent(sent)
         self.counters["commands"] += 1
@@ -136,9 +137,11 @@ class Drive:
             "command",
             {
                 "sent_s": sent.sent_s,
-                "target_um": [round(v, 3) for v in (sent.target.x_um, sent.target.y_um, sent.target.z_um)],
-                "tip_um": [round(v, 3) for v in (tip.position.x_um, tip.position.y_um, tip.position.z_um)],
-                "speed_um_per_s": round(sent.speed_um_per_s, 1),
+                "setpoint_um": _xyz(wished),
+                "asked_um": _xyz(target),
+                "asked_um_per_s": speed_um_per_s,
+                "target_um": _xyz(sent.target),
+                "speed_um_per_s": sent.speed_um_per_s,
                 "ahead_ms": round(1000.0 * gap_um / sent.speed_um_per_s, 2),
                 "mode": mode.value,
             },
@@ -149,6 +152,10 @@ class Drive:
         if self.elsewhere is not None:
             return self.elsewhere(require_finite(point))
         return allowed_target(point, self._limits, self._calibration, self._vessel)
+
+
+def _xyz(point: StagePoint) -> tuple[float, float, float]:
+    return (point.x_um, point.y_um, point.z_um)
 
 
 def _distance_um(a: StagePoint, b: StagePoint) -> float:

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from mrnav_server.core.lease import Lease
+
 
 def _fine() -> str:
     return ""
@@ -14,6 +16,29 @@ def _silent() -> list[str]:
 
 def _unheard(_: object) -> None:
     pass
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What everybody outside the deciders says at one moment; a replay needs no more of them.
+
+    Attributes:
+        recorder_fault, supervisor_fault, camera_fault, drift_warning, drift_fault: As in ``Surroundings``.
+        device_warnings: In one text.
+        leased: Whether anybody controls the rig.
+        hand_seated: Whether a hand belongs to the lease.
+        console_heard: Whether the page that shares the lease was heard lately.
+    """
+
+    recorder_fault: str = ""
+    supervisor_fault: str = ""
+    camera_fault: str = ""
+    drift_warning: str = ""
+    drift_fault: str = ""
+    device_warnings: str = ""
+    leased: bool = False
+    hand_seated: bool = False
+    console_heard: bool = False
 
 
 @dataclass(slots=True)
@@ -39,3 +64,24 @@ class Surroundings:
     device_warnings: Callable[[], list[str]] = _silent
     beat: Callable[[bool], None] = _unheard
     announce: Callable[[float], None] = _unheard
+
+    def look(self, lease: Lease, console_s: float, now_s: float) -> Outlook:
+        """Ask everybody once; seats of the lease that were silent too long are freed.
+
+        Args:
+            lease: Who controls the rig.
+            console_s: A page counts as heard for this long.
+            now_s: Now.
+        """
+        lease.expire(now_s)
+        return Outlook(
+            self.recorder_fault(),
+            self.supervisor_fault(),
+            self.camera_fault(),
+            self.drift_warning(),
+            self.drift_fault(),
+            "; ".join(self.device_warnings()),
+            lease.held,
+            lease.state().hand,
+            lease.console_heard_within(console_s, now_s),
+        )

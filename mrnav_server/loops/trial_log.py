@@ -137,7 +137,7 @@ def trial_folder(root: Path, trial_id: str) -> Path:
 def header_line(trial_id: str, header: TrialHeader) -> bytes:
     """Return a log's first line."""
     fields = {"schema": SCHEMA_VERSION, "topic": "header", "id": trial_id, **asdict(header)}
-    return orjson.dumps(fields) + b"\n"
+    return orjson.dumps(fields, option=orjson.OPT_APPEND_NEWLINE | orjson.OPT_SERIALIZE_NUMPY)
 
 
 def read_header(path: Path) -> TrialHeader:

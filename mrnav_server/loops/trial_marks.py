@@ -53,6 +53,11 @@ class TrialMarks:
         return self._contacts_in_auto
 
     @property
+    def go_s(self) -> float | None:
+        """When the rig was first told to move; None before."""
+        return self._go_s
+
+    @property
     def reached_s(self) -> float | None:
         """When the robot entered the target and stayed; None before."""
         return self._reached_s
@@ -61,14 +66,14 @@ class TrialMarks:
         """Begin anew: a trial starts, or the rig is armed outside of one."""
         self._contacts = ContactCounter()
         self._contacts_in_auto = 0
-        self._gone = False
+        self._go_s: float | None = None
         self._entered_s: float | None = None
         self._reached_s: float | None = None
 
     def on_motion(self, now_s: float) -> None:
         """Mark the go cue: the first moment at which the rig was told to move."""
-        if not self._gone:
-            self._gone = True
+        if self._go_s is None:
+            self._go_s = now_s
             self._announce("trial", {"mark": "go", "t_s": now_s})
 
     def on_track(self, track: Track, mode: Mode, distance_um: float | None) -> None:
@@ -90,7 +95,9 @@ class TrialMarks:
         elif self._entered_s is None:
             self._entered_s = track.taken_s
         elif (
-            self._gone and self._reached_s is None and track.taken_s - self._entered_s >= self._config.dwell_s
+            self._go_s is not None
+            and self._reached_s is None
+            and track.taken_s - self._entered_s >= self._config.dwell_s
         ):
             self._reached_s = self._entered_s
             self._announce("trial", {"mark": "reached", "t_s": self._entered_s})

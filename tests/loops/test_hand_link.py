@@ -11,7 +11,7 @@ from mrnav_server.core.errors import ConfigError, RefusedError
 from mrnav_server.core.frames import HandPoint
 from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.wire_hand import Hello
-from mrnav_server.loops.hand_link import HandLinkConfig, HandLinkServer, TwinState
+from mrnav_server.loops.hand_link import HandLinkConfig, HandLinkServer, TellLease, TwinState
 
 TOKENS = {"op": "operator", "view": "viewer", "root": "admin"}
 
@@ -26,6 +26,7 @@ class Rig:
         self.bad_numbers: list[str] = []
         self.hellos: list[Hello] = []
         self.free = True
+        self.tell: TellLease = lambda *_: None
         self.twin: TwinState | None = None
         self.changed = asyncio.Event()
         self.server = HandLinkServer(
@@ -41,10 +42,11 @@ class Rig:
             transform={"gain": 0.04},
         )
 
-    def acquire(self, session: str, hello: Hello) -> bool:
+    def acquire(self, session: str, hello: Hello, tell: TellLease) -> None:
         self.hellos.append(hello)
-        free, self.free = self.free, False
-        return free
+        if not self.free:
+            raise RefusedError("lease_held", "test has control")
+        self.free, self.tell = False, tell
 
     def note(self, where: list[Any], what: object) -> None:
         where.append(what)
@@ -176,6 +178,22 @@ async def test_sessions_differ_and_the_second_hand_gets_no_lease() -> None:
         one, two = await first.hello(), await second.hello()
         assert one["session"] != two["session"]
         assert (one["lease"], two["lease"]) == (True, False)
+        assert await second.read() == {
+            "type": "lease",
+            "lease": False,
+            "code": "lease_held",
+            "message": "test has control",
+        }
+
+
+async def test_a_hand_is_told_that_it_lost_its_seat_and_stays_connected() -> None:
+    async with running() as rig, connected(rig) as client:
+        await client.hello()
+        rig.tell(False, "displaced", "Chief took control over: connect anew")
+        told = await client.read()
+        assert (told["type"], told["lease"], told["code"]) == ("lease", False, "displaced")
+        assert "Chief" in told["message"]
+        await client.synchronise()
 
 
 @pytest.mark.parametrize(
@@ -369,6 +387,8 @@ async def test_a_silent_connection_is_freed() -> None:
         assert rig.closed == [welcome["session"]]
         assert rig.server.counters["hand_silent"] == 1
         assert not rig.server.peers
+        told = await client.read()
+        assert (told["type"], told["code"]) == ("error", "silent")
 
 
 async def test_the_end_of_a_connection_is_told_once() -> None:

@@ -59,8 +59,10 @@ class WatchedRig(LockStep):
             announce=self._ignore,
             record=self._ignore,
             clock=lambda: self.now_s,
+            transform={},
         )
-        self._linked = self.seat.acquire("hand", HELLO)
+        self.seat.acquire("hand", HELLO, lambda *_: None)
+        self._linked = True
         self._ask: Ask | None = None
         self._closing = self._deliberate = False
         self._seen_open = self._was_closed = False
@@ -90,7 +92,9 @@ class WatchedRig(LockStep):
         """Let a hand link say hello; tell whether it is the rig's hand."""
         mode = self.control.machine.mode
         taken = self.lease.state().hand
-        if not self.seat.acquire(session, HELLO):
+        try:
+            self.seat.acquire(session, HELLO, lambda *_: None)
+        except RefusedError:
             return False
         assert not (taken and session != self.hand_session), "I7: a seat that is taken stays taken"
         if not taken:
