@@ -33,10 +33,11 @@ export class ApiError extends Error {
  * @param {"GET" | "POST" | "PUT" | "DELETE"} method
  * @param {string} path Below /api/v1.
  * @param {unknown} [body]
+ * @param {{as?: string, timeout_ms?: number}} [how] As another session than this page's own; waiting longer.
  * @returns {Promise<unknown>}
  * @throws {ApiError}
  */
-export async function request(method, path, body) {
+export async function request(method, path, body, { as = session ?? "", timeout_ms = TIMEOUT_MS } = {}) {
   /** @type {Response} */
   let response;
   try {
@@ -44,12 +45,12 @@ export async function request(method, path, body) {
       method,
       headers: {
         ...(body === undefined ? {} : { "content-type": "application/json" }),
-        ...(session === null ? {} : { "x-mrnav-session": session }),
+        ...(as === "" ? {} : { "x-mrnav-session": as }),
       },
       body: body === undefined ? null : JSON.stringify(body),
       cache: "no-store",
       keepalive: true,
-      signal: AbortSignal.timeout(TIMEOUT_MS),
+      signal: AbortSignal.timeout(timeout_ms),
     });
   } catch {
     throw new ApiError("The server does not answer.", "network", 0);

@@ -6,10 +6,12 @@
 import { explain, request } from "./api.js";
 import { byId, icon, make, setText } from "./dom.js";
 
-/** @import { CriticalArea, Pair, Snapshot, VesselPoint } from "./types.js" */
+/** @import { CriticalArea, Snapshot, VesselPoint } from "./types.js" */
+/** @import { Draft } from "./gestures.js" */
 /** @import { Messages } from "./messages.js" */
+/** @typedef {{frame: "image" | "vessel", x: number, y: number}} Center */
 
-const HOW_TO_MARK = "Click on the picture to mark where autonomy hands over to you.";
+const HOW_TO_MARK = "Click on the picture, or drag a circle, to mark where autonomy hands over to you.";
 
 export class Areas {
   #list = byId("areas", HTMLUListElement);
@@ -23,6 +25,7 @@ export class Areas {
   /** @type {VesselPoint[]} */ #suggested = [];
   /** @type {CriticalArea[]} */ all = [];
   /** @type {string | null} */ chosenId = null;
+  /** Where Auto goes if nothing else is chosen. @type {string | null} */ #nextId = null;
 
   /**
    * @param {Messages} messages
@@ -53,8 +56,15 @@ export class Areas {
     this.#replace(snapshot.critical_areas);
   }
 
-  /** Take over what the server says: some client changed the areas. @param {CriticalArea[]} areas */
-  update(areas) {
+  /**
+   * Take over what the server says: some client changed the areas, or one was reached.
+   * @param {CriticalArea[]} areas
+   * @param {string | null} next Where Auto goes next.
+   */
+  update(areas, next) {
+    // The choice goes on with the server, once it has arrived where it went.
+    if (next !== this.#nextId && this.chosenId === this.#nextId) this.chosenId = next;
+    this.#nextId = next;
     this.#replace(areas);
   }
 
@@ -71,17 +81,20 @@ export class Areas {
     this.#onChange();
   }
 
-  /** Mark an area where the image was clicked. @param {Pair} image_px */
-  async mark([x, y]) {
-    await this.#add({ frame: "image", x, y });
+  /** Mark, move or size an area as it was drawn on the picture. @param {Draft} draft */
+  async draw({ id, image_px: [x, y], epsilon_um }) {
+    const center = /** @type {const} */ ({ frame: "image", x, y });
+    const area = this.all.find((known) => known.id === id);
+    if (area) await this.#change(area, { center, epsilon_um });
+    else await this.#add(center, epsilon_um);
   }
 
-  /** @param {{frame: "image" | "vessel", x: number, y: number}} center */
-  async #add(center) {
+  /** @param {Center} center @param {number} [epsilon_um] */
+  async #add(center, epsilon_um = this.newEpsilon_um) {
     if (this.#busy) return;
     this.#busy = true;
     await this.#try(async () => {
-      const body = { center, epsilon_um: this.newEpsilon_um, label: "" };
+      const body = { center, epsilon_um, label: "" };
       const area = /** @type {CriticalArea} */ (await request("POST", "/critical-areas", body));
       this.chosenId = area.id;
       this.#messages.clear();
@@ -102,11 +115,11 @@ export class Areas {
     );
   }
 
-  /** @param {CriticalArea} area @param {{epsilon_um?: number, label?: string}} change */
+  /** @param {CriticalArea} area @param {{epsilon_um?: number, label?: string, center?: Center}} change */
   async #change(area, change) {
     await this.#try(async () => {
-      const { epsilon_um, label } = { ...area, ...change };
-      const center = { frame: "vessel", x: area.center.x_px, y: area.center.y_px };
+      const here = { frame: "vessel", x: area.center.x_px, y: area.center.y_px };
+      const { epsilon_um, label, center } = { ...area, center: here, ...change };
       await request("PUT", `/critical-areas/${encodeURIComponent(area.id)}`, { center, epsilon_um, label });
       this.#messages.clear();
     });
@@ -117,6 +130,17 @@ export class Areas {
   async #delete(area) {
     await this.#try(async () => {
       await request("DELETE", `/critical-areas/${encodeURIComponent(area.id)}`);
+      this.#messages.clear();
+    });
+    await this.#refresh();
+  }
+
+  /** Let an area be visited before another one. @param {string} id @param {number} to Its new place. */
+  async #move(id, to) {
+    const order = this.all.map((area) => area.id).filter((other) => other !== id);
+    order.splice(to, 0, id);
+    await this.#try(async () => {
+      await request("PUT", "/critical-areas", { order });
       this.#messages.clear();
     });
     await this.#refresh();
@@ -148,12 +172,12 @@ export class Areas {
     this.#suggest.hidden = !this.#mayEdit || left === 0;
     setText(this.#suggest, `Mark suggested (${left})`);
     const focused = document.activeElement instanceof HTMLElement ? document.activeElement.dataset.key : undefined;
-    this.#list.replaceChildren(...this.all.map((area) => this.#row(area)));
+    this.#list.replaceChildren(...this.all.map((area, place) => this.#row(area, place)));
     if (focused) this.#list.querySelector(/** @type {"input"} */ (`[data-key="${CSS.escape(focused)}"]`))?.focus();
   }
 
-  /** @param {CriticalArea} area @returns {HTMLLIElement} */
-  #row(area) {
+  /** @param {CriticalArea} area @param {number} place @returns {HTMLLIElement} */
+  #row(area, place) {
     const name = area.label || area.id;
     const choice = make("input", { type: "radio", name: "area", value: area.id, "aria-label": `Choose ${name}` });
     choice.checked = area.id === this.chosenId;
@@ -178,12 +202,44 @@ export class Areas {
     remove.disabled = !this.#mayEdit;
     remove.addEventListener("click", () => this.#delete(area));
 
-    for (const [part, element] of Object.entries({ choice, label, epsilon, remove })) {
+    const sooner = make("button", { type: "button", class: "plain", "aria-label": `Visit ${name} sooner` }, "↑");
+    sooner.disabled = !this.#mayEdit || place === 0;
+    sooner.hidden = this.all.length < 2;
+    sooner.addEventListener("click", () => this.#move(area.id, place - 1));
+
+    for (const [part, element] of Object.entries({ choice, label, epsilon, sooner, remove })) {
       element.dataset.key = `${area.id} ${part}`;
     }
     const row = make("li", { "data-testid": `area-${area.id}`, "data-active": String(area.active) });
-    const radius = make("span", { class: "unit" }, "ε", epsilon, "µm");
-    row.append(make("label", { class: "choice" }, choice, icon("i-area")), label, radius, remove);
+    const radius = make("span", { class: "unit" }, epsilon, "µm");
+    const where = make("small", { class: "where" }, this.#where(area));
+    const handle = make("label", { class: "choice" }, choice, icon("i-area"));
+    row.append(handle, label, where, radius, sooner, remove);
+    this.#letDrag(handle, row, area.id, place);
     return row;
+  }
+
+  /** @param {CriticalArea} area */
+  #where({ id, visited }) {
+    if (id === this.#nextId && this.all.length > 1) return "next";
+    return visited ? "visited" : "";
+  }
+
+  /**
+   * Rows are dragged into another order; the buttons do the same.
+   * @param {HTMLElement} handle
+   * @param {HTMLLIElement} row
+   * @param {string} id
+   * @param {number} place
+   */
+  #letDrag(handle, row, id, place) {
+    handle.draggable = this.#mayEdit && this.all.length > 1;
+    handle.addEventListener("dragstart", (event) => event.dataTransfer?.setData("text/plain", id));
+    row.addEventListener("dragover", (event) => event.preventDefault());
+    row.addEventListener("drop", (event) => {
+      event.preventDefault();
+      const dragged = event.dataTransfer?.getData("text/plain") ?? "";
+      if (this.all.some((area) => area.id === dragged)) void this.#move(dragged, place);
+    });
   }
 }

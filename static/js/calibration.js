@@ -50,7 +50,7 @@ export class Calibration {
   /** @param {Snapshot} snapshot */
   reset(snapshot) {
     this.#mayEdit = snapshot.role === "operator";
-    this.#session = snapshot.session;
+    this.#session = snapshot.seat;
     void this.#refresh(true);
   }
 

@@ -135,6 +135,20 @@ export class Charts {
         1,
       ),
       new Chart(host("chart-lead"), [{ name: "lead", color: COLORS.tip, read: (s) => s.lead_um }], 200),
+      new Chart(
+        host("chart-confidence"),
+        [{ name: "confidence", color: COLORS.robot, read: (s) => 100 * s.track.confidence }],
+        100,
+      ),
+      new Chart(
+        host("chart-rates"),
+        [
+          { name: "hand", color: COLORS.hand, read: (s) => s.rates_hz.hand ?? null },
+          { name: "poses", color: COLORS.hand, dashed: true, read: (s) => s.rates_hz.hand_poses ?? null },
+          { name: "camera", color: COLORS.camera, read: (s) => s.rates_hz.camera ?? null },
+        ],
+        60,
+      ),
     ];
   }
 

@@ -48,16 +48,22 @@ export class Controls {
   #autoArea = byId("auto-area", HTMLElement);
   #take = byId("take", HTMLButtonElement);
   #give = byId("give", HTMLButtonElement);
+  #force = byId("force", HTMLButtonElement);
+  #why = byId("lease-why", HTMLElement);
+  #learned = byId("learned", HTMLElement);
   /** @type {Record<ButtonAsk, HTMLButtonElement>} */ #buttons;
   #messages;
+  #onGive;
 
   /**
    * @param {(ask: Ask, area?: string) => Promise<Answer>} ask
    * @param {() => string | undefined} chosenArea
    * @param {Messages} messages
+   * @param {() => void} onGive Control is being given back.
    */
-  constructor(ask, chosenArea, messages) {
+  constructor(ask, chosenArea, messages, onGive) {
     this.#messages = messages;
+    this.#onGive = onGive;
     /** @param {ButtonAsk} name */
     const button = (name) => {
       const element = byId(name, HTMLButtonElement);
@@ -77,7 +83,11 @@ export class Controls {
       reset: button("reset"),
     };
     this.#take.addEventListener("click", () => this.#changeLease("POST"));
-    this.#give.addEventListener("click", () => this.#changeLease("DELETE"));
+    this.#force.addEventListener("click", () => this.#changeLease("POST", true));
+    this.#give.addEventListener("click", () => {
+      this.#onGive();
+      void this.#changeLease("DELETE");
+    });
   }
 
   /** Show what is known. @param {Known} known */
@@ -93,6 +103,19 @@ export class Controls {
     setText(this.#autoArea, known.chosen ? ` to ${known.chosen.label || known.chosen.id}` : "");
     const refusal = autoRefusal(known);
     setText(this.#refusal, refusal && `No Auto: ${refusal.charAt(0).toLowerCase()}${refusal.slice(1)}`);
+    this.#showLearned(known.state);
+  }
+
+  /** Why a seat changed hands. @param {string} reason */
+  explainLease(reason) {
+    setText(this.#why, sentence(reason));
+  }
+
+  /** What autonomy has found out about magnet and robot. @param {State} state */
+  #showLearned({ learned }) {
+    const [x, y] = learned.offset_um;
+    const text = `offset ${x.toFixed(0)}, ${y.toFixed(0)} µm; lead ${learned.friction_lead_um.toFixed(0)} µm`;
+    setText(this.#learned, learned.looks > 0 ? text : "nothing yet");
   }
 
   /** @param {State} state */
@@ -121,7 +144,9 @@ export class Controls {
     setText(this.#lease, mine ? "You" : free ? "Nobody" : state.lease.client || "Another page");
     this.#take.disabled = !fresh || role === "viewer" || !free;
     this.#give.disabled = !fresh || !mine;
-    this.#take.hidden = mine;
+    this.#take.hidden = mine || (known.chief && !free);
+    this.#force.hidden = mine || free || !known.chief;
+    this.#force.disabled = !fresh;
     this.#give.hidden = !mine;
     this.#take.dataset.next = String(nextStep(known).button === "take");
     setText(this.#hand, state.lease.hand ? "Live" : "None");
@@ -130,10 +155,10 @@ export class Controls {
     this.#clutch.dataset.on = String(state.clutch);
   }
 
-  /** @param {"POST" | "DELETE"} method */
-  async #changeLease(method) {
+  /** @param {"POST" | "DELETE"} method @param {boolean} [force] Take it from whoever has it. */
+  async #changeLease(method, force = false) {
     try {
-      await request(method, "/lease", method === "POST" ? { client: "dashboard" } : undefined);
+      await request(method, "/lease", method === "POST" ? { client: force ? "the chief" : "dashboard", force } : undefined);
       this.#messages.clear();
     } catch (error) {
       this.#messages.say(explain(error), "warning");

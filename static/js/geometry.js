@@ -22,3 +22,26 @@ export function apply([[a, b, tx], [c, d, ty]], [x, y]) {
 export function scaleOf([[a, b], [c, d]]) {
   return Math.sqrt(Math.abs(a * d - b * c));
 }
+
+/**
+ * Map a difference of two points.
+ * @param {AffineRows} rows
+ * @param {Pair} difference
+ * @returns {Pair}
+ */
+export function applyLinear([[a, b], [c, d]], [x, y]) {
+  return [a * x + b * y, c * x + d * y];
+}
+
+/**
+ * The map backwards.
+ * @param {AffineRows} rows
+ * @returns {AffineRows}
+ */
+export function inverse([[a, b, tx], [c, d, ty]]) {
+  const area = a * d - b * c;
+  return [
+    [d / area, -b / area, (b * ty - d * tx) / area],
+    [-c / area, a / area, (c * tx - a * ty) / area],
+  ];
+}

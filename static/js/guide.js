@@ -5,7 +5,7 @@
 
 /** @import { Ask, CriticalArea, Mode, Role, State } from "./types.js" */
 
-/** @typedef {"take" | "arm" | "auto" | "manual" | "reset" | null} NextButton */
+/** @typedef {"take" | "arm" | "auto" | "manual" | "reset" | "steer" | null} NextButton */
 
 /**
  * @typedef {object} Known
@@ -14,6 +14,8 @@
  * @property {State} state
  * @property {CriticalArea | null} chosen
  * @property {boolean} fresh Whether the state is recent enough to act on.
+ * @property {boolean} chief Whether this page may take control from another operator.
+ * @property {boolean} elsewhere Whether another tab of this browser has control.
  */
 
 /** @type {Record<Exclude<Ask, "stop">, Mode[]>} */
@@ -70,8 +72,12 @@ export function nextStep(known) {
   if (role === "viewer") return { text: "You are watching. Anyone may press STOP.", button: null };
   if (!hasControl(known)) {
     if (state.lease.console === null) return { text: "Take control to begin.", button: "take" };
+    if (known.elsewhere) {
+      return { text: "Another tab of this browser has control: go on there, or close it.", button: null };
+    }
     const holder = state.lease.client || "Another page";
-    return { text: `${holder} has control and must give it back first.`, button: null };
+    const may = known.chief ? "has control. You may take it over: the rig rests first" : "has control and must give it back first";
+    return { text: sentence(`${holder} ${may}`), button: null };
   }
   switch (state.mode) {
     case "DISARMED":
@@ -81,6 +87,7 @@ export function nextStep(known) {
     case "STOP":
       return { text: "Reset when it is safe to go on. Reset leads to Disarmed.", button: "reset" };
     case "AUTO":
+      if (!state.lease.hand) return { text: "Choose Steer at any time, to be able to take over.", button: "steer" };
       return { text: "Close the clutch at any time to take over.", button: null };
     case "HOLD":
     case "MANUAL":
@@ -95,7 +102,7 @@ export function nextStep(known) {
 function armedStep(known) {
   const { state, chosen } = known;
   if (state.mode === "MANUAL" && state.clutch) return { text: "The robot follows your hand.", button: null };
-  const hand = state.lease.hand ? "Close the clutch to steer by hand" : "No hand is connected";
+  const hand = state.lease.hand ? "Close the clutch to steer by hand" : "Choose Steer to drive from this page";
   if (!chosen) return { text: `${hand}. Mark a critical area to use Auto.`, button: null };
   if (autoRefusal(known) !== "") return { text: `${hand}.`, button: null };
   return { text: state.lease.hand ? `${hand}, or start Auto.` : `Start Auto. ${hand}.`, button: "auto" };

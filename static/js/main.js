@@ -9,16 +9,26 @@ import { Calibration } from "./calibration.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
 import { byId, setText } from "./dom.js";
-import { sentence } from "./guide.js";
+import { Gestures } from "./gestures.js";
+import { hasControl } from "./guide.js";
 import { Messages } from "./messages.js";
 import { Overlay } from "./overlay.js";
+import { PageHand } from "./page-hand.js";
+import { Policies } from "./policies.js";
+import { Presence } from "./presence.js";
 import { Registration } from "./registration.js";
+import { Siblings } from "./siblings.js";
 import { Status } from "./status.js";
+import { SteerGamepad } from "./steer-gamepad.js";
+import { SteerKeys } from "./steer-keys.js";
 import { StopButton } from "./stop.js";
+import { Tools } from "./tools.js";
 import { Trials } from "./trial.js";
+import { trouble, TWIN_VERSION } from "./troubles.js";
 import { TwinPanel } from "./twin-panel.js";
 import { TwinClient } from "./twin.js";
 import { VideoView } from "./video.js";
+import { Viewport } from "./viewport.js";
 
 /** @import { Snapshot, State, TwinEvent } from "./types.js" */
 /** @import { Link } from "./socket.js" */
@@ -47,28 +57,71 @@ const areas = new Areas(messages, () => show());
 const trials = new Trials(messages);
 const registration = new Registration(messages, () => drawOverlay());
 const panel = new TwinPanel();
-const twin = new TwinClient({ onSnapshot, onState, onEvent, onLink });
+const policies = new Policies();
+const presence = new Presence(messages);
+const siblings = new Siblings();
+const twin = new TwinClient({ onSnapshot, onState, onEvent, onLink, onHandLease: (lease) => hand.onLease(lease) });
 const stop = new StopButton(() => twin.ask("stop"), messages);
 const controls = new Controls(
   (ask, area) => twin.ask(ask, area),
   () => areas.chosenId ?? undefined,
   messages,
+  () => presence.giveBack(),
 );
-const video = new VideoView(byId("video", HTMLCanvasElement), {
+const picture = byId("video", HTMLCanvasElement);
+const canvas = byId("overlay", HTMLCanvasElement);
+const viewport = new Viewport(() => {
+  picture.style.transform = viewport.transform;
+  tools.showZoom(viewport.scale);
+  overlay.request();
+});
+const tools = new Tools(viewport, messages, (tool) => {
+  if (tool === "steer") hand.take();
+  else if (hand.wanted) hand.give();
+  canvas.focus({ preventScroll: true });
+  show();
+});
+const hand = new PageHand(twin, {
+  onBeat: (dt_s) => {
+    keys.advance(dt_s);
+    pad.advance(dt_s);
+  },
+  onChange: () => {
+    root.dataset.hand = hand.holder ?? (hand.seated ? "open" : "none");
+    overlay.request();
+  },
+  onLost: (why) => {
+    tools.choose("mark");
+    messages.say(`This page is not the hand: ${why}. Choose Steer to try again`, "warning");
+  },
+});
+const keys = new SteerKeys(canvas, hand);
+const pad = new SteerGamepad(hand, { onStop: () => stop.press(), onScale: () => tools.toggleScale() });
+const overlay = new Overlay(canvas, viewport, () => gestures);
+const gestures = new Gestures(canvas, viewport, hand, {
+  scene: () => overlay.scene,
+  tool: () => tools.tool,
+  onDraft: (draft) => void areas.draw(draft),
+  onChoose: (id) => areas.choose(id),
+  onChange: () => overlay.request(),
+});
+const video = new VideoView(picture, {
   onFirstFrame: () => {
     placeholder.hidden = true;
   },
 });
-const overlay = new Overlay(byId("overlay", HTMLCanvasElement), {
-  onMark: (image_px) => areas.mark(image_px),
-  onChoose: (id) => areas.choose(id),
-});
-
 /** @param {Snapshot} next */
 function onSnapshot(next) {
+  const before = snapshot;
   snapshot = next;
   signedOut = false;
+  if (next.v !== TWIN_VERSION) return show();
   useSession(next.session);
+  if (before) void presence.reconnected(before.session, performance.now() - received_ms);
+  siblings.introduce(next.seat);
+  viewport.useCamera(next.camera);
+  policies.reset(next);
+  hand.reconnected();
   setText(byId("rig-name", HTMLElement), next.rig.name);
   byId("simulated", HTMLElement).hidden = !next.rig.simulated;
   setText(byId("vessel-name", HTMLElement), next.vessel.name);
@@ -83,6 +136,7 @@ function onSnapshot(next) {
 
 /** @param {State} next */
 function onState(next) {
+  if (snapshot?.v !== TWIN_VERSION) return;
   const changed = state?.mode !== next.mode;
   state = next;
   received_ms = performance.now();
@@ -95,7 +149,7 @@ function onState(next) {
 function onEvent(event) {
   switch (event.event) {
     case "areas":
-      areas.update(event.critical_areas);
+      areas.update(event.critical_areas, event.next);
       if (snapshot) void panel.reset(snapshot);
       break;
     case "handover":
@@ -103,6 +157,10 @@ function onEvent(event) {
       break;
     case "contact":
       messages.say("The robot touched the wall", "warning");
+      break;
+    case "lease":
+      controls.explainLease(event.reason ?? "");
+      presence.explain(event.reason ?? "");
       break;
     case "trial":
       if (event.mark === "reached") messages.say("Target reached", "info");
@@ -122,6 +180,7 @@ function onEvent(event) {
 /** @param {Link} next @param {boolean} everOpened */
 function onLink(next, everOpened) {
   link = next;
+  if (next === "lost") hand.disconnected();
   if (next === "lost" && !everOpened) void probeSession();
   show();
 }
@@ -150,6 +209,8 @@ function drawOverlay() {
     newEpsilon_um: areas.newEpsilon_um,
     outline_px: registration.outline_px,
     mayMark: snapshot.role === "operator" && isFresh(),
+    tool: tools.tool,
+    mayDrive: hand.seated,
   });
 }
 
@@ -157,12 +218,19 @@ function drawOverlay() {
 function show() {
   const fresh = isFresh();
   const now_ms = performance.now();
-  showBanner(fresh);
+  pad.watch();
   status.showLinks(link, video.link, video.fps(now_ms));
-  root.dataset.video = now_ms - video.last_ms <= STALE_MS ? "live" : "stale";
+  const videoLive = now_ms - video.last_ms <= STALE_MS;
+  root.dataset.video = videoLive ? "live" : "stale";
+  showBanner(fresh, videoLive);
   charts.add(now_ms / 1000, fresh ? state : null);
   if (!snapshot || !state) return;
-  controls.show({ role: snapshot.role, session: snapshot.session, state, chosen: areas.chosen, fresh });
+  const { role, chief, seat: session } = snapshot;
+  const elsewhere = siblings.include(state.lease.console);
+  const known = { role, session, chief, elsewhere, state, chosen: areas.chosen, fresh };
+  controls.show(known);
+  presence.show(known);
+  tools.show(known, hasControl(known));
   stop.confirm(fresh && state.mode === "STOP");
   status.showFigures(state);
   status.showRates(state);
@@ -176,20 +244,13 @@ function show() {
   drawOverlay();
 }
 
-/** @param {boolean} fresh */
-function showBanner(fresh) {
+/** @param {boolean} fresh @param {boolean} videoLive */
+function showBanner(fresh, videoLive) {
   root.dataset.data = fresh ? "live" : "stale";
-  banner.hidden = fresh;
-  if (fresh) {
-    receivedAt = new Date().toLocaleTimeString();
-  } else if (signedOut) {
-    setText(banner, "Not signed in. Open the address with the token that the server printed when it started.");
-  } else if (state) {
-    const does = link === "open" ? "The server is silent" : "Reconnecting";
-    setText(banner, sentence(`No data since ${receivedAt}. ${does}. What you see is old`));
-  } else {
-    setText(banner, "Connecting to the server…");
-  }
+  if (fresh) receivedAt = new Date().toLocaleTimeString();
+  const text = trouble({ snapshot, state, fresh, signedOut, link, receivedAt, videoLive });
+  banner.hidden = text === "";
+  setText(banner, text);
 }
 
 twin.start();

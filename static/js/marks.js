@@ -157,7 +157,22 @@ export function criticalArea(context, [x, y], radius, label, is) {
     context.fillStyle = COLORS.area;
     context.fill();
   }
-  tag(context, [x, y - radius - 8], label);
+  if (label) tag(context, [x, y - radius - 8], label);
+}
+
+/**
+ * The hand that steers: a line from where its clutch closed to where it is.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Pair} from
+ * @param {Pair} to
+ */
+export function clutchLine(context, from, to) {
+  context.beginPath();
+  context.arc(from[0], from[1], 5, 0, 2 * Math.PI);
+  context.moveTo(from[0], from[1]);
+  context.lineTo(to[0], to[1]);
+  strokeCased(context, COLORS.hand, 2.5);
+  tag(context, [to[0], to[1] - 16], "You steer");
 }
 
 /**

@@ -1,14 +1,18 @@
 /**
- * What is drawn over the microscope's picture, and where on the specimen a pointer points.
+ * What is drawn over the microscope's picture.
  * @module
  */
 
 import { apply, scaleOf } from "./geometry.js";
-import { criticalArea, outline, pathLine, robotRing, scaleBar, tag, tipCross, tipSeen } from "./marks.js";
+import { clutchLine, criticalArea, outline, pathLine, robotRing, scaleBar, tag, tipCross, tipSeen } from "./marks.js";
 
 /** @import { CriticalArea, Pair, Snapshot, State } from "./types.js" */
+/** @import { Gestures } from "./gestures.js" */
+/** @import { Tool } from "./tools.js" */
+/** @import { Viewport } from "./viewport.js" */
 
-const SCALE_BAR_UM = 2000;
+const SCALE_BARS_UM = [2000, 1000, 500, 200, 100];
+const LONGEST_BAR_CSS = 140;
 
 /**
  * @typedef {object} Scene
@@ -18,42 +22,47 @@ const SCALE_BAR_UM = 2000;
  * @property {string | null} chosen Id of the area that Auto would go to.
  * @property {number} newEpsilon_um Radius of an area marked now.
  * @property {Pair[][]} outline_px The vessel model's walls in the image; none while nobody registers.
- * @property {boolean} mayMark Whether a click marks an area.
+ * @property {boolean} mayMark Whether areas can be marked and changed here.
+ * @property {Tool} tool
+ * @property {boolean} mayDrive Whether this page is the rig's hand.
  */
 
 export class Overlay {
   #canvas;
   #context;
-  #onMark;
-  #onChoose;
+  #viewport;
+  #gestures;
   /** @type {Scene | null} */ #scene = null;
-  /** Pointer over the picture, in CSS pixels. @type {Pair | null} */ #pointer = null;
   #pending = false;
 
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {{onMark: (image_px: Pair) => void, onChoose: (id: string) => void}} handlers
+   * @param {Viewport} viewport
+   * @param {() => Gestures} gestures
    */
-  constructor(canvas, { onMark, onChoose }) {
+  constructor(canvas, viewport, gestures) {
     const context = canvas.getContext("2d");
     if (!context) throw new Error("the browser offers no 2D canvas");
     this.#canvas = canvas;
     this.#context = context;
-    this.#onMark = onMark;
-    this.#onChoose = onChoose;
+    this.#viewport = viewport;
+    this.#gestures = gestures;
     new ResizeObserver(() => this.#resize()).observe(canvas);
-    canvas.addEventListener("pointermove", (event) => this.#hover(event.pointerType === "mouse" ? event : null));
-    canvas.addEventListener("pointerleave", () => this.#hover(null));
-    canvas.addEventListener("click", (event) => this.#click([event.offsetX, event.offsetY]));
+  }
+
+  /** The newest scene. */
+  get scene() {
+    return this.#scene;
   }
 
   /** Draw this scene at the next repaint. @param {Scene} scene */
   show(scene) {
     this.#scene = scene;
-    this.#request();
+    this.request();
   }
 
-  #request() {
+  /** Draw at the next repaint. */
+  request() {
     if (this.#pending) return;
     this.#pending = true;
     requestAnimationFrame(() => {
@@ -66,52 +75,8 @@ export class Overlay {
     const density = window.devicePixelRatio;
     this.#canvas.width = Math.round(this.#canvas.clientWidth * density);
     this.#canvas.height = Math.round(this.#canvas.clientHeight * density);
+    this.#viewport.resize(this.#canvas.clientWidth);
     this.#draw();
-  }
-
-  /** CSS pixels per image pixel. @param {Snapshot} snapshot */
-  #zoom(snapshot) {
-    return this.#canvas.clientWidth / snapshot.camera.width_px;
-  }
-
-  /** An image pixel's centre has whole coordinates. @param {Pair} image_px @param {number} zoom @returns {Pair} */
-  #onScreen([x, y], zoom) {
-    return [(x + 0.5) * zoom, (y + 0.5) * zoom];
-  }
-
-  /** @param {CriticalArea} area @param {Scene} scene @returns {{at: Pair, radius: number}} */
-  #place(area, { snapshot }) {
-    const zoom = this.#zoom(snapshot);
-    const { image_from_vessel, um_per_px } = snapshot.calibration;
-    const at = this.#onScreen(apply(image_from_vessel, [area.center.x_px, area.center.y_px]), zoom);
-    return { at, radius: (area.epsilon_um / um_per_px) * scaleOf(image_from_vessel) * zoom };
-  }
-
-  /** @param {Pair} css @param {Scene} scene */
-  #areaAt([x, y], scene) {
-    return scene.areas.find((area) => {
-      const { at, radius } = this.#place(area, scene);
-      return Math.hypot(at[0] - x, at[1] - y) <= Math.max(radius, 16);
-    });
-  }
-
-  /** @param {PointerEvent | null} event */
-  #hover(event) {
-    this.#pointer = event && [event.offsetX, event.offsetY];
-    this.#request();
-  }
-
-  /** @param {Pair} css */
-  #click(css) {
-    const scene = this.#scene;
-    if (!scene) return;
-    const area = this.#areaAt(css, scene);
-    if (area) {
-      this.#onChoose(area.id);
-    } else if (scene.mayMark) {
-      const zoom = this.#zoom(scene.snapshot);
-      this.#onMark([css[0] / zoom - 0.5, css[1] / zoom - 0.5]);
-    }
   }
 
   #draw() {
@@ -124,32 +89,48 @@ export class Overlay {
     context.setTransform(density, 0, 0, density, 0, 0);
     const { snapshot, state } = scene;
     const { image_from_vessel, um_per_px } = snapshot.calibration;
-    const zoom = this.#zoom(snapshot);
-    const css_per_um = (scaleOf(image_from_vessel) * zoom) / um_per_px;
+    const css_per_um = (scaleOf(image_from_vessel) * this.#viewport.css_per_px) / um_per_px;
+    /** @param {Pair} image_px */
+    const at = (image_px) => this.#viewport.toScreen(image_px);
+    const { draft, pointer, steeringFrom } = this.#gestures();
 
-    outline(context, scene.outline_px.map((line) => line.map((point) => this.#onScreen(point, zoom))));
+    outline(context, scene.outline_px.map((line) => line.map(at)));
     for (const area of scene.areas) {
-      const { at, radius } = this.#place(area, scene);
+      if (area.id === draft?.id) continue;
+      const center = at(apply(image_from_vessel, [area.center.x_px, area.center.y_px]));
       const is = { chosen: area.id === scene.chosen, active: area.id === state.critical_area };
-      criticalArea(context, at, radius, area.label || area.id, is);
+      criticalArea(context, center, area.epsilon_um * css_per_um, area.label || area.id, is);
     }
-    pathLine(context, state.path.map((point) => this.#onScreen(apply(image_from_vessel, point), zoom)));
+    if (draft) {
+      const is = { chosen: true, active: false };
+      criticalArea(context, at(draft.image_px), draft.epsilon_um * css_per_um, `ε ${draft.epsilon_um} µm`, is);
+    }
+    pathLine(context, state.path.map((point) => at(apply(image_from_vessel, point))));
     if (state.robot_px) {
       const radius = snapshot.vessel.robot_radius_um * css_per_um;
-      robotRing(context, this.#onScreen(state.robot_px, zoom), radius, state.track.state === "tracking");
+      robotRing(context, at(state.robot_px), radius, state.track.state === "tracking");
     }
-    if (state.tip_seen_px) tipSeen(context, this.#onScreen(state.tip_seen_px, zoom));
-    if (state.tip_px) tipCross(context, this.#onScreen(state.tip_px, zoom));
-    scaleBar(context, SCALE_BAR_UM * css_per_um, `${SCALE_BAR_UM / 1000} mm`, this.#canvas.clientHeight);
-    this.#drawPointer(scene, css_per_um);
+    if (state.tip_seen_px) tipSeen(context, at(state.tip_seen_px));
+    if (state.tip_px) tipCross(context, at(state.tip_px));
+    this.#drawScaleBar(css_per_um);
+    if (steeringFrom && pointer) clutchLine(context, steeringFrom, pointer);
+    else this.#drawPointer(scene, pointer, css_per_um);
   }
 
-  /** @param {Scene} scene @param {number} css_per_um */
-  #drawPointer(scene, css_per_um) {
-    const pointer = this.#pointer;
-    const over = pointer && this.#areaAt(pointer, scene);
-    this.#canvas.style.cursor = over ? "pointer" : scene.mayMark ? "crosshair" : "default";
-    if (!pointer || over || !scene.mayMark) return;
+  /** @param {number} css_per_um */
+  #drawScaleBar(css_per_um) {
+    const fits = SCALE_BARS_UM.find((bar_um) => bar_um * css_per_um <= LONGEST_BAR_CSS) ?? 100;
+    const text = fits >= 1000 ? `${fits / 1000} mm` : `${fits} µm`;
+    scaleBar(this.#context, fits * css_per_um, text, this.#canvas.clientHeight);
+  }
+
+  /** @param {Scene} scene @param {Pair | null} pointer @param {number} css_per_um */
+  #drawPointer(scene, pointer, css_per_um) {
+    const gestures = this.#gestures();
+    const over = pointer && scene.tool === "mark" && gestures.areaAt(pointer, scene);
+    const cursors = { mark: scene.mayMark ? "crosshair" : "default", steer: scene.mayDrive ? "grab" : "default", pan: "move" };
+    this.#canvas.style.cursor = over ? "pointer" : cursors[scene.tool];
+    if (!pointer || over || gestures.draft || scene.tool !== "mark" || !scene.mayMark) return;
     const radius = scene.newEpsilon_um * css_per_um;
     this.#context.globalAlpha = 0.6;
     criticalArea(this.#context, pointer, radius, "", { chosen: false, active: false });

@@ -47,7 +47,7 @@ export class Registration {
   /** @param {Snapshot} snapshot */
   reset(snapshot) {
     this.#mayEdit = snapshot.role === "operator";
-    this.#session = snapshot.session;
+    this.#session = snapshot.seat;
     this.#image_from_vessel = snapshot.calibration.image_from_vessel;
     void this.refresh();
   }

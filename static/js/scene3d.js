@@ -1,20 +1,16 @@
 /**
- * The twin in three dimensions: the rig's own scene, moved by the twin stream.
- *
- * The scene is in metres; x and z are the vessel's grid, y is the height over its floor.
+ * The twin in three dimensions, to be looked at from above or from aside.
  * @module
  */
 
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { RigModel } from "./rig-model.js";
 
 /** @import { Snapshot, State } from "./types.js" */
 /** @typedef {"microscope" | "orbit"} View */
 
-const SCENE = "/api/v1/vessel.glb";
 const FOV_DEG = 30;
-const UM = 1e-6;
 const FRAME_MS = 1000 / 30;
 
 export class Scene3d {
@@ -22,16 +18,9 @@ export class Scene3d {
   #scene = new three.Scene();
   #camera = new three.PerspectiveCamera(FOV_DEG, 4 / 3, 1e-3, 1);
   #controls;
-  #loader = new GLTFLoader();
+  #rig = new RigModel();
   #canvas;
-  /** @type {three.Object3D | null} */ #rig = null;
-  /** @type {three.Object3D | null} */ #robot = null;
-  /** @type {three.Object3D | null} */ #tool = null;
-  /** @type {Snapshot | null} */ #snapshot = null;
-  #path = new three.Line(
-    new three.BufferGeometry(),
-    new three.LineBasicMaterial({ color: 0xf0e442, depthTest: false, transparent: true }),
-  );
+  /** @type {string | null} */ #vessel = null;
   /** @type {View} */ #view = "orbit";
   #pending = false;
   #visible = true;
@@ -45,8 +34,7 @@ export class Scene3d {
     this.#scene.add(new three.HemisphereLight(0xdfe8f0, 0x20262c, 1.6));
     const lamp = new three.DirectionalLight(0xffffff, 2.2);
     lamp.position.set(0.01, 0.05, -0.02);
-    this.#scene.add(lamp, this.#path);
-    this.#path.renderOrder = 2;
+    this.#scene.add(lamp, this.#rig.group);
     this.#controls = new OrbitControls(this.#camera, canvas);
     this.#controls.addEventListener("change", () => this.#draw());
     this.#controls.listenToKeyEvents(canvas);
@@ -63,14 +51,9 @@ export class Scene3d {
    * @param {Snapshot} snapshot
    */
   async load(snapshot) {
-    const first = this.#snapshot?.vessel.name !== snapshot.vessel.name;
-    this.#snapshot = snapshot;
-    const { scene } = await this.#loader.loadAsync(SCENE);
-    if (this.#rig) this.#scene.remove(this.#rig);
-    this.#rig = scene;
-    this.#scene.add(scene);
-    this.#robot = scene.getObjectByName("robot") ?? null;
-    this.#tool = scene.getObjectByName("tool") ?? null;
+    const first = this.#vessel !== snapshot.vessel.name;
+    await this.#rig.load(snapshot);
+    this.#vessel = snapshot.vessel.name;
     if (first) this.look(this.#view);
     this.#canvas.dataset.state = "ready";
     this.#draw();
@@ -79,9 +62,8 @@ export class Scene3d {
   /** Look from straight above, as the microscope does, or from aside. @param {View} view */
   look(view) {
     this.#view = view;
-    if (!this.#snapshot) return;
-    const { size_px, um_per_px } = this.#snapshot.vessel;
-    const side_m = size_px * um_per_px * UM;
+    if (this.#vessel === null) return;
+    const { side_m } = this.#rig;
     const middle = side_m / 2;
     this.#controls.enableRotate = view === "orbit";
     this.#controls.target.set(middle, 0, middle);
@@ -94,42 +76,15 @@ export class Scene3d {
       this.#controls.target.set(middle, 0.25 * side_m, middle);
     }
     // From above the tool hides what it points at.
-    this.#showTool(view !== "microscope");
+    this.#rig.showParts(["needle", "arm"], view !== "microscope");
     this.#controls.update();
     this.#draw();
   }
 
   /** @param {State} state */
   show(state) {
-    if (!this.#snapshot || !this.#robot || !this.#tool) return;
-    const scale = this.#snapshot.vessel.um_per_px * UM;
-    const { robot_vessel_px: robot, tip_um: tip } = state;
-    this.#robot.visible = robot !== null;
-    if (robot) {
-      this.#robot.position.set(robot[0] * scale, this.#snapshot.vessel.robot_radius_um * UM, robot[1] * scale);
-    }
-    if (tip) {
-      const { stage_from_vessel, floor_z_um } = this.#snapshot.calibration;
-      const [[a, b, tx], [c, d, ty]] = stage_from_vessel;
-      const [x, y] = [tip[0] - tx, tip[1] - ty];
-      const by = scale / (a * d - b * c);
-      // The floor's height is that of the robot's centre.
-      const up_m = (tip[2] - floor_z_um + this.#snapshot.vessel.robot_radius_um) * UM;
-      this.#tool.position.set((d * x - b * y) * by, up_m, (a * y - c * x) * by);
-    }
-    const height_m = this.#snapshot.vessel.robot_radius_um * UM;
-    this.#path.geometry.setFromPoints(
-      state.path.map(([x, y]) => new three.Vector3(x * scale, height_m, y * scale)),
-    );
+    this.#rig.show(state);
     this.#draw();
-  }
-
-  /** @param {boolean} visible */
-  #showTool(visible) {
-    for (const name of ["needle", "arm"]) {
-      const part = this.#rig?.getObjectByName(name);
-      if (part) part.visible = visible;
-    }
   }
 
   /** @param {KeyboardEvent} event */

@@ -10,6 +10,9 @@ import { clock, MISSING } from "./format.js";
 /** @import { Snapshot, State, Trial, TrialResult } from "./types.js" */
 /** @import { Messages } from "./messages.js" */
 
+/** On a busy computer a long trial's report takes its time. */
+const REPORT_MS = 120_000;
+
 export class Trials {
   #form = byId("trial-form", HTMLFormElement);
   #running = byId("trial-running", HTMLElement);
@@ -23,6 +26,7 @@ export class Trials {
   #resultName = byId("trial-result-name", HTMLElement);
   #folder = byId("trial-folder", HTMLElement);
   #resultSimulated = byId("trial-result-simulated", HTMLElement);
+  #tlx = byId("trial-tlx", HTMLAnchorElement);
   #messages;
   #simulatedRig = false;
   #mayEdit = false;
@@ -91,9 +95,11 @@ export class Trials {
     const id = this.#id;
     if (id === null) return;
     try {
-      this.#messages.clear();
+      this.#messages.say("The trial ends; its figures are being computed", "info");
       const path = `/trials/${encodeURIComponent(id)}/end`;
-      this.#showResult(id, /** @type {TrialResult} */ (await request("POST", path)));
+      const result = await request("POST", path, undefined, { timeout_ms: REPORT_MS });
+      this.#showResult(id, /** @type {TrialResult} */ (result));
+      this.#messages.clear();
     } catch (error) {
       this.#messages.say(explain(error), "warning");
     }
@@ -104,6 +110,11 @@ export class Trials {
     setText(this.#resultName, id);
     const simulated = this.#simulatedRig || result.simulated === true || result.operator_kind === "simulated";
     this.#resultSimulated.hidden = !simulated;
+    const query = `?trial=${encodeURIComponent(id)}`;
+    // Only people have a workload to tell of.
+    this.#tlx.hidden = result.operator_kind === "simulated";
+    this.#tlx.href = `/tlx.html${query}`;
+    byId("trial-results", HTMLAnchorElement).href = `/results.html${query}`;
     setText(this.#folder, typeof result.folder === "string" ? `Recorded in ${result.folder}` : "");
     this.#rows.replaceChildren(...describe(result).map(({ name, hint, value }) =>
       make("tr", {}, make("th", { scope: "row" }, name, make("small", {}, hint)), make("td", {}, value)),

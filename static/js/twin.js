@@ -5,7 +5,7 @@
 
 import { ReconnectingSocket } from "./socket.js";
 
-/** @import { Answer, Ask, Snapshot, State, TwinEvent, TwinMessage } from "./types.js" */
+/** @import { Answer, Ask, HandLease, HandMessage, Snapshot, State, TwinEvent, TwinMessage } from "./types.js" */
 /** @import { Link } from "./socket.js" */
 
 const HEARTBEAT_MS = 200;
@@ -16,6 +16,7 @@ const ANSWER_TIMEOUT_MS = 3000;
  * @property {(snapshot: Snapshot) => void} onSnapshot
  * @property {(state: State) => void} onState
  * @property {(event: TwinEvent) => void} onEvent
+ * @property {(lease: HandLease) => void} onHandLease Whether this page is the rig's hand.
  * @property {(link: Link, everOpened: boolean) => void} onLink
  */
 
@@ -67,6 +68,26 @@ export class TwinClient {
     });
   }
 
+  /**
+   * Ask to be the rig's hand; the answer comes as `onHandLease`.
+   * @param {string} client
+   * @param {"stage" | "webxr"} frame Axes of the positions.
+   * @returns {boolean} Whether it could be sent.
+   */
+  takeHand(client, frame) {
+    return this.#socket.send({ type: "take_hand", client, frame });
+  }
+
+  /** Be the hand no longer. */
+  giveHand() {
+    this.#socket.send({ type: "give_hand" });
+  }
+
+  /** @param {HandMessage} message @returns {boolean} Whether it could be sent. */
+  sendHand(message) {
+    return this.#socket.send(message);
+  }
+
   /** @param {TwinMessage} message */
   #receive(message) {
     switch (message.type) {
@@ -79,6 +100,9 @@ export class TwinClient {
         break;
       case "event":
         this.#handlers.onEvent(message);
+        break;
+      case "lease":
+        this.#handlers.onHandLease(message);
         break;
       case "answer":
         this.#waiting.shift()?.(message);
