@@ -17,7 +17,7 @@ REAL_TIME := tests/clients tests/devices tests/e2e tests/faults
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 
-.PHONY: help run demo test check check-static test-slow explore test-ray faults bench diagram clean
+.PHONY: help run demo test check check-static test-slow wheel-check explore test-ray faults bench diagram types clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1|\2/' | column -t -s '|'
@@ -47,6 +47,9 @@ check-static: $(VENV)/.installed-test static/node_modules/.installed
 test-slow: $(VENV)/.installed-test ## Run the tests that take minutes
 	$(PY) -m pytest -m "slow and not ray" --timeout 3600
 
+wheel-check: $(VENV)/.installed-test ## Build the wheel, and serve its pages without Node and network
+	$(PY) -m pytest -m slow tests/test_wheel.py --timeout 3600
+
 explore: $(VENV)/.installed-test ## Look for inputs that break what must always hold
 	$(PY) -m pytest -m "not slow and not ray and not browser" --hypothesis-profile explore --timeout 1800 \
 		$$(grep -rl "^from hypothesis import" tests --include 'test_*.py')
@@ -64,6 +67,9 @@ bench: $(VENV)/.installed-test ## Measure every published figure again
 
 diagram: $(VENV)/.installed ## Draw the diagram of the modes anew
 	$(PY) docs/draw_modes.py
+
+types: $(VENV)/.installed ## Write the pages' types of the twin's messages anew, from their schema
+	$(PY) docs/write_twin_types.py
 
 clean: ## Remove everything that was built here
 	rm -rf $(VENV) static/node_modules static/vendor .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -70,6 +70,7 @@ class ServerConfig:
         origins: Further origins that pages may come from, for example ``"https://lab.example:8443"``.
         tls_certificate: PEM file with the certificate chain; None serves plain HTTP.
         tls_key: PEM file with its private key.
+        tls_authority: PEM file with the authority that ``mrnav tls`` made; pages offer it as ``/ca.crt``.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
@@ -84,6 +85,7 @@ class ServerConfig:
     origins: tuple[str, ...] = ()
     tls_certificate: str | None = None
     tls_key: str | None = None
+    tls_authority: str | None = None
 
     @property
     def is_loopback(self) -> bool:
@@ -189,12 +191,16 @@ class Settings(BaseModel):
     recording: RecordingConfig = RecordingConfig()
     video: VideoConfig = VideoConfig()
 
-    def digest(self) -> str:
-        """Return a hash of the configuration, without the tokens: sha256, 64 hex digits."""
+    def public(self) -> dict[str, Any]:
+        """Return the configuration without the tokens, ready for JSON."""
         values = self.model_dump(mode="json")
         for name in _SECRETS:
             del values["server"][name]
-        return hashlib.sha256(orjson.dumps(values, option=orjson.OPT_SORT_KEYS)).hexdigest()
+        return values
+
+    def digest(self) -> str:
+        """Return a hash of the configuration, without the tokens: sha256, 64 hex digits."""
+        return hashlib.sha256(orjson.dumps(self.public(), option=orjson.OPT_SORT_KEYS)).hexdigest()
 
     def with_tokens(self) -> "Settings":
         """Return the settings with a fresh random token for every role that has none."""
@@ -384,7 +390,8 @@ def _contradictions(values: dict[str, Any]) -> Iterator[str]:
     if not server.is_loopback and server.tls_certificate is None and not server.insecure:
         yield (
             f"server.host {server.host!r} is reachable from other machines and tokens would travel in the "
-            "clear: set server.tls_certificate and server.tls_key, or server.insecure = true"
+            "clear: set server.tls_certificate and server.tls_key (`mrnav tls` makes them), or "
+            "server.insecure = true"
         )
     if server.port == server.hand_port != 0:
         yield f"server.port and server.hand_port are both {server.port}: choose two ports, or 0 for free ones"

@@ -6,12 +6,22 @@ from typing import Annotated, Any
 import orjson
 from fastapi import APIRouter, Depends, Query, Response, WebSocket
 
-from mrnav_server.app import areas, calibration_routes, registration_routes, trials
+from mrnav_server.app import (
+    areas,
+    calibration_routes,
+    registration_routes,
+    results_routes,
+    study_routes,
+    tlx_routes,
+    trials,
+)
+from mrnav_server.app.auth import SESSION_HEADER
 from mrnav_server.app.context import Context, Operator, Viewer, chief, operator, viewer
 from mrnav_server.app.metrics_endpoint import CONTENT_TYPE, RigCollector
 from mrnav_server.app.problems import ApiError, problem
 from mrnav_server.app.schemas import HandBody, LeaseBody, ModeBody
 from mrnav_server.app.twin_scene import ToolShape, scene_glb
+from mrnav_server.app.twin_schema import twin_schema
 from mrnav_server.core.wire_twin import twin_state, vessel_fields
 
 Width = Annotated[int, Query(ge=64, le=4096, description="Width of the picture in px, in steps of 16")]
@@ -23,6 +33,9 @@ streams = APIRouter(tags=["streams"], dependencies=[Depends(viewer)])
 api = APIRouter(prefix="/api/v1", dependencies=[Depends(viewer)])
 api.include_router(areas.router)
 api.include_router(trials.router)
+api.include_router(results_routes.router)
+api.include_router(tlx_routes.router)
+api.include_router(study_routes.router)
 api.include_router(registration_routes.router)
 api.include_router(calibration_routes.router)
 
@@ -88,6 +101,13 @@ async def vessel_glb(parts: Context) -> Response:
     return Response(glb, media_type="model/gltf-binary")
 
 
+@api.get("/twin.schema.json", tags=["rig"])
+async def schema_of_twin() -> Response:
+    """Return the JSON Schema of the messages of ``/ws/twin``."""
+    schema = orjson.dumps(await asyncio.to_thread(twin_schema))
+    return Response(schema, media_type="application/schema+json")
+
+
 @api.get("/policies", tags=["rig"])
 async def policies(parts: Context) -> list[dict[str, Any]]:
     """Return the policies and whether each was verified for this vessel model."""
@@ -114,6 +134,9 @@ async def hand_scale(parts: Context, body: HandBody, principal: Operator) -> dic
 @api.post("/lease", tags=["control"])
 async def take_lease(parts: Context, body: LeaseBody, principal: Operator) -> dict[str, str]:
     """Take control; 409 while another has it, unless a chief takes it over."""
+    if principal.anonymous:
+        what = f"control belongs to a session: send a secret of your own as {SESSION_HEADER}"
+        raise ApiError(400, "no_session", what)
     if body.force:
         await parts.rig.console.take_over(chief(principal).session, body.client)
     else:

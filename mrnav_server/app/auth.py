@@ -17,7 +17,6 @@ SESSION_HEADER = "X-MRNAV-Session"
 OPERATORS_ONLY = "this needs the operator's token; yours lets you watch, and stop"
 CHIEFS_ONLY = "taking control from another operator needs the chief's token"
 _SESSION = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_MAX_SESSIONS = 10_000
 _SAFE_METHODS = {"GET", "HEAD", "OPTIONS"}
 _DEFAULT_PORTS = {"http": 80, "https": 443}
 
@@ -39,11 +38,17 @@ class Principal:
 
     Attributes:
         role: What the token allows.
-        session: Names the sender towards the rig's lease.
+        session: Names the sender towards the rig's lease (``session_name``); the role's name if it did not
+            say which one.
     """
 
     role: Role
     session: str
+
+    @property
+    def anonymous(self) -> bool:
+        """Whether the sender did not say which session it is: then it can hold no lease."""
+        return self.session == self.role.name.lower()
 
 
 class Tokens:
@@ -80,7 +85,6 @@ class Gate:
     def __init__(self, config: ServerConfig) -> None:
         self.tokens = Tokens(config)
         self._origins = frozenset(config.origins)
-        self._owners = {role.name.lower(): role for role in Role}
 
     def admit(self, connection: HTTPConnection) -> Principal:
         """Return who sent a request.
@@ -98,23 +102,12 @@ class Gate:
             raise ApiError(
                 401, "unauthenticated", f"{what}: open the URL that the server printed at its start"
             )
-        session = connection.headers.get(SESSION_HEADER, role.name.lower())
+        session = connection.headers.get(SESSION_HEADER)
+        if session is None:
+            return Principal(role, role.name.lower())
         if not _SESSION.fullmatch(session):
             raise ApiError(400, "bad_session", f"{SESSION_HEADER} is 1 to 64 letters, digits, - or _")
-        return Principal(role, self._owned(session, role))
-
-    def _owned(self, session: str, role: Role) -> str:
-        """Return the session if no other role uses it, else the role's own.
-
-        Everybody who watches can read who holds the lease: the name alone must not be enough to act for it.
-        What comes under another's name is not refused, for it may be a STOP.
-        """
-        if role is Role.VIEWER:
-            return session
-        if len(self._owners) > _MAX_SESSIONS:
-            self._owners = {known.name.lower(): known for known in Role}
-        owner = self._owners.setdefault(session, role)
-        return session if owner is role else role.name.lower()
+        return Principal(role, session_name(session, role))
 
     def _require_own_page(self, connection: HTTPConnection, from_cookie: bool) -> None:
         """Refuse other pages: a browser sends its cookie along with whatever a foreign page asks for."""
@@ -128,6 +121,15 @@ class Gate:
             raise ApiError(
                 403, "foreign_origin", "pages of another origin are refused: list it under server.origins"
             )
+
+
+def session_name(session: str, role: Role) -> str:
+    """Return the name under which everybody sees a session.
+
+    Everybody who watches can read who holds the lease: that name must not be enough to act for it. So a
+    session is a secret of its client, and what others see is made from it.
+    """
+    return f"session-{_hash(f'{role.name}:{session}').hex()[:16]}"
 
 
 def own_origins(connection: HTTPConnection) -> frozenset[str]:

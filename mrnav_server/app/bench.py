@@ -1,6 +1,7 @@
 """The devices on the bench, chosen by settings. Building touches none of them."""
 
 import dataclasses
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,7 +73,12 @@ class Bench:
         return self.world is not None or (path is not None and is_emulated(path.target[0]))
 
 
-def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float]) -> Bench:
+def build_bench(
+    settings: Settings,
+    vessel: VesselMap,
+    clock: Callable[[], float],
+    sleep: Callable[[float], None] = time.sleep,
+) -> Bench:
     """Build the devices that the settings name.
 
     A simulated camera beside a real or emulated manipulator shows a world whose magnet follows the position
@@ -82,6 +88,7 @@ def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float
         settings: ``manipulator.driver`` and ``rig.camera`` choose the drivers, ``camera`` the picture.
         vessel: The vessel model.
         clock: Monotonic time in seconds.
+        sleep: How a simulated camera waits for a time in seconds, by that clock.
     """
     core = SharedCore(settings.micromanager)
     if "simulated" not in (settings.manipulator.driver, settings.rig.camera):
@@ -98,7 +105,9 @@ def build_bench(settings: Settings, vessel: VesselMap, clock: Callable[[], float
     scene: SimulatedScene | None = None
     if settings.rig.camera == "simulated":
         scene = SimulatedScene(settings, vessel, world)
-        camera: Camera = SimulatedCamera(settings.sim, settings.camera, world.snapshot, scene.render, clock)
+        camera: Camera = SimulatedCamera(
+            settings.sim, settings.camera, world.snapshot, scene.render, clock, sleep
+        )
     else:
         camera = build_camera(settings, clock, core)
     return Bench(

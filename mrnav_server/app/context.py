@@ -1,4 +1,7 @@
-"""What every route works with, and who may call it."""
+"""What every route works with, and who may call it.
+
+What routes depend on is async: FastAPI runs a plain function in a thread, for which the request waits.
+"""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -9,6 +12,7 @@ from starlette.requests import HTTPConnection
 from mrnav_server.app.auth import CHIEFS_ONLY, OPERATORS_ONLY, Gate, Principal, Role
 from mrnav_server.app.problems import ApiError
 from mrnav_server.app.rig_port import RigPort
+from mrnav_server.app.study_desk import StudyDesk
 from mrnav_server.app.twin import TwinHub
 from mrnav_server.app.video import VideoEncoder, VideoHub
 
@@ -24,6 +28,7 @@ class AppContext:
         encoder: Turns the newest frame into JPEG.
         video: Serves ``/ws/video`` and ``/video.mjpeg``.
         vessel_png: The vessel's mask; encoding it takes longer than a control tick.
+        study: The study that it leads through; None without one.
     """
 
     rig: RigPort
@@ -32,20 +37,21 @@ class AppContext:
     encoder: VideoEncoder
     video: VideoHub
     vessel_png: bytes
+    study: StudyDesk | None = None
 
 
-def context(connection: HTTPConnection) -> AppContext:
+async def context(connection: HTTPConnection) -> AppContext:
     """Return the parts of the app that a request came to."""
     parts: AppContext = connection.app.state.context
     return parts
 
 
-def viewer(connection: HTTPConnection) -> Principal:
+async def viewer(connection: HTTPConnection) -> Principal:
     """Admit everybody with a token."""
-    return context(connection).gate.admit(connection)
+    return (await context(connection)).gate.admit(connection)
 
 
-def operator(principal: Annotated[Principal, Depends(viewer)]) -> Principal:
+def operator(principal: Principal) -> Principal:
     """Admit operators.
 
     Raises:
@@ -54,6 +60,10 @@ def operator(principal: Annotated[Principal, Depends(viewer)]) -> Principal:
     if principal.role < Role.OPERATOR:
         raise ApiError(403, "forbidden", OPERATORS_ONLY)
     return principal
+
+
+async def _operator(principal: Annotated[Principal, Depends(viewer)]) -> Principal:
+    return operator(principal)
 
 
 def chief(principal: Principal) -> Principal:
@@ -69,4 +79,4 @@ def chief(principal: Principal) -> Principal:
 
 Context = Annotated[AppContext, Depends(context)]
 Viewer = Annotated[Principal, Depends(viewer)]
-Operator = Annotated[Principal, Depends(operator)]
+Operator = Annotated[Principal, Depends(_operator)]

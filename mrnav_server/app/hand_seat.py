@@ -1,5 +1,6 @@
 """The rig's side of the hand link: who may be the hand, and what its samples do."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 
 from mrnav_server.core.errors import RefusedError
@@ -7,8 +8,11 @@ from mrnav_server.core.hand import HandControl
 from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.lease import Lease
 from mrnav_server.core.wire_hand import Hello
+from mrnav_server.loops.trial_fields import hand_fields
 
 Announce = Callable[[str, Mapping[str, object]], None]
+Tell = Callable[[bool, str, str], None]
+"""Tells a hand over its own connection whether it has the seat, with a code and plain words."""
 
 
 class HandSeat:
@@ -23,6 +27,7 @@ class HandSeat:
         announce: Tells everybody what happened, and records it.
         record: Notes a payload under a topic in the running trial's log.
         clock: Monotonic time in seconds.
+        transform: How the rig maps the hand's motion, for hands to know.
     """
 
     def __init__(
@@ -35,7 +40,10 @@ class HandSeat:
         announce: Announce,
         record: Callable[[str, Mapping[str, object]], None],
         clock: Callable[[], float],
+        transform: Mapping[str, object],
     ) -> None:
+        self.transform = transform
+        self.counters: Counter[str] = Counter()
         self._lease = lease
         self._hand = hand
         self._step = step
@@ -45,11 +53,27 @@ class HandSeat:
         self._clock = clock
         self._on_message = on_message
         self._last: tuple[str, str] | None = None
+        self._tell: dict[str, Tell] = {}
+        lease.on_hand_lost = self._on_lost
         self._trouble = ""
 
-    def acquire(self, session: str, hello: Hello) -> bool:
-        """Make a session the hand; tell whether it is."""
-        return self._sit(session, hello.client or "hand")
+    def now_s(self) -> float:
+        """Return the rig's time, in seconds."""
+        return self._clock()
+
+    def acquire(self, session: str, hello: Hello, tell: Tell) -> None:
+        """Make a session the hand.
+
+        Args:
+            session: Unique; a session that was displaced does not come back.
+            hello: Who it is.
+            tell: Told when the seat is lost later, or regained.
+
+        Raises:
+            RefusedError: While another hand has the seat.
+        """
+        self._sit(session, hello.client or "hand")
+        self._tell[session] = tell
 
     def take(self, sample: HandSample) -> None:
         """Let an accepted sample of the holder move the rig; anybody else's moves nothing."""
@@ -58,19 +82,7 @@ class HandSeat:
         self._lease.hear(sample.session, self._clock())
         self._on_message(sample)
         self._hand.on_sample(sample)
-        point = sample.point
-        self._record(
-            "hand",
-            {
-                "seq": sample.seq,
-                "sender_s": sample.sender_t_s,
-                "received_s": sample.received_s,
-                "p_m": [round(point.x_m, 6), round(point.y_m, 6), round(point.z_m, 6)],
-                "clutch": sample.clutch,
-                "valid": sample.valid,
-                "new_pose": sample.new_pose,
-            },
-        )
+        self._record("hand", hand_fields(sample))
         self._tell_trouble(sample.received_s)
         self._step(sample.received_s)
 
@@ -93,27 +105,37 @@ class HandSeat:
 
     def leave(self, session: str) -> None:
         """Free the seat: the link has ended."""
+        self._tell.pop(session, None)
         if self._last is not None and self._last[0] == session:
             self._last = None
         if self._lease.is_hand(session):
             self._hand.lose()
+            self._record("hand_left", {})
             self._lease.give_back(session)
             # The rig holds before anybody else may sit down.
             self._step(None)
             self._tell_lease()
 
-    def _sit(self, session: str, client: str) -> bool:
-        try:
-            self._lease.take_hand(session, client, self._clock())
-        except RefusedError:
-            return False
+    def _sit(self, session: str, client: str) -> None:
+        self._lease.take_hand(session, client, self._clock())
         self._last = (session, client)
         self._tell_lease()
-        return True
 
     def _returns(self, session: str) -> bool:
         """Let a link whose seat was freed by its silence sit down again, unless somebody else did."""
-        return self._last is not None and self._last[0] == session and self._sit(*self._last)
+        if self._last is None or self._last[0] != session:
+            return False
+        try:
+            self._sit(*self._last)
+        except RefusedError:
+            return False
+        if session in self._tell:
+            self._tell[session](True, "ok", "")
+        return True
+
+    def _on_lost(self, session: str, code: str, reason: str) -> None:
+        if session in self._tell:
+            self._tell[session](False, code, reason)
 
     def _tell_trouble(self, now_s: float) -> None:
         """Tell once what is wrong with the hand, and hold if it keeps jumping."""

@@ -26,10 +26,11 @@ class Pages(StaticFiles):
 
     def __init__(self, folder: Path, tokens: Tokens) -> None:
         super().__init__(directory=folder, html=True)
+        self._folder = folder
         self._tokens = tokens
 
     async def get_response(self, path: str, scope: Scope) -> Response:
-        """Return a file; with a token in the URL, the cookie and a redirect to the URL without it."""
+        """Return a file (``/xr`` is ``xr.html``); with a token in the URL, the cookie and a redirect."""
         request = Request(scope)
         token = request.query_params.get("token")
         if token is not None:
@@ -38,6 +39,8 @@ class Pages(StaticFiles):
         hidden = any(part.startswith(".") and part != "." for part in parts) or "node_modules" in parts
         if hidden or Path(path).suffix not in _SERVED:
             raise ApiError(404, "not_found", f"there is no page {request.url.path}")
+        if path and not Path(path).suffix and (self._folder / f"{path}.html").is_file():
+            path = f"{path}.html"
         response = await super().get_response(path, scope)
         # An update of the server must reach the browser at once: files are revalidated, not trusted.
         response.headers["Cache-Control"] = "no-cache"

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mrnav_server.app.auth import Tokens
+from mrnav_server.app.auth import Role, Tokens, session_name
 from mrnav_server.app.bench import build_bench
 from mrnav_server.app.calibration_desk import CalibrationDesk
 from mrnav_server.app.console_desk import ConsoleDesk
@@ -21,6 +21,7 @@ from mrnav_server.app.hand_seat import HandSeat
 from mrnav_server.app.herald import Herald
 from mrnav_server.app.navigator import Navigator
 from mrnav_server.app.registration_desk import RegistrationDesk
+from mrnav_server.app.reporting import Report, trial_report
 from mrnav_server.app.supervision import come_to_rest, supervised, tell_earlier_stops
 from mrnav_server.app.telemetry import Telemetry
 from mrnav_server.app.tip_patrol import TipPatrol
@@ -44,6 +45,7 @@ from mrnav_server.loops.priority import compute_in_calling_threads
 from mrnav_server.loops.recorder import Recorder
 from mrnav_server.loops.ticks import ticks
 from mrnav_server.loops.tracking import TrackingLoop
+from mrnav_server.loops.trial_fields import track_fields
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
 from mrnav_server.sim.clock import WorldClock
@@ -63,12 +65,20 @@ class Rig:
     Args:
         settings: With tokens (``Settings.with_tokens``).
         clock: Monotonic time in seconds.
+        sleep: How a thread waits for a time in seconds, by that clock.
+        report: Makes a finished trial's report.
 
     Raises:
         ConfigError: If the vessel model cannot be used.
     """
 
-    def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+        report: Report = trial_report,
+    ) -> None:
         self.settings = settings
         self._clock = clock
         self._root = Path(settings.recording.root).absolute()
@@ -76,7 +86,7 @@ class Rig:
         self.events = EventBus()
         self.herald = Herald(self.events, self._recorder, clock)
         self.vessel = load_vessel_model(find_model(settings.rig.vessel))
-        self.bench = build_bench(settings, self.vessel, clock)
+        self.bench = build_bench(settings, self.vessel, clock, sleep)
         self.states: Latest[RigState] = Latest()
         self.frames: Latest[Frame] = Latest()
         self.areas = CriticalAreas(self.vessel, self._on_areas)
@@ -93,9 +103,10 @@ class Rig:
             self.lease,
             self.hand,
             self.navigator.autopilot,
-            self._on_command,
+            self._on_control,
             self._on_change,
         )
+        self.navigator.autopilot.log = self.herald.record
         self.marks = TrialMarks(settings.trial, self.vessel, self.herald.announce)
         self.telemetry = Telemetry(
             self.control, self.navigator.autopilot, self.hand, self.lease, self.marks, self.calibration
@@ -114,6 +125,7 @@ class Rig:
             self.telemetry,
             self.film,
             self.herald.announce,
+            report,
         )
         self.registration = RegistrationDesk(
             settings.registration,
@@ -137,6 +149,7 @@ class Rig:
             self.frames,
             self._check_registration,
             self._calibration_objection,
+            self._page_is_silent,
             self.bench.scene,
             self._use_calibration,
             self.herald.announce,
@@ -154,7 +167,7 @@ class Rig:
             publish=self._publish,
             clock=clock,
         )
-        seat = HandSeat(
+        self.hand_seat = seat = HandSeat(
             self.lease,
             self.hand,
             step=lambda received_s: self._step(self._clock(), received_s),
@@ -163,9 +176,16 @@ class Rig:
             announce=self.herald.announce,
             record=self.herald.record,
             clock=clock,
+            transform={
+                "gain": settings.hand.gain,
+                "fine_gain": settings.hand.fine_gain,
+                "vertical_gain": settings.hand.vertical_gain,
+            },
         )
         self._camera_fault = ""
-        self._frame_watch = FrameWatch(settings.camera.fps, settings.tracker.darkest_gray)
+        # Pictures of a film repeat where it was compressed; those of a camera never do.
+        film = settings.rig.camera == "file"
+        self._frame_watch = FrameWatch(settings.camera.fps, settings.tracker.darkest_gray, may_repeat=film)
         self._drift = DriftPatrol(
             settings.drift,
             self.vessel,
@@ -202,6 +222,7 @@ class Rig:
                 settings.hand_link, host=settings.server.host, port=settings.server.hand_port
             ),
             authorize=self._authorize,
+            session_name=lambda secret, role: session_name(secret, Role[role.upper()]),
             acquire=seat.acquire,
             on_sample=seat.take,
             on_closed=seat.leave,
@@ -209,15 +230,11 @@ class Rig:
             clock=clock,
             on_bad_numbers=seat.on_bad_numbers,
             limits={"speed_um_per_s": settings.limits.speed_um_per_s},
-            transform={
-                "gain": settings.hand.gain,
-                "fine_gain": settings.hand.fine_gain,
-                "vertical_gain": settings.hand.vertical_gain,
-            },
+            transform=seat.transform,
             choose_scale=seat.choose_scale,
         )
         self._twin: Mapping[str, object] | None = None
-        self._tracker = Tracker(settings.tracker, self.calibration)
+        self._tracker = Tracker(settings.tracker, self.calibration, live=not film)
         self._registration_warning = self.registration.restore()
         self._running = False
         self._fresh_track = asyncio.Event()
@@ -288,6 +305,7 @@ class Rig:
         """
         # An import or a first inference during control would stall it for up to seconds.
         await self.navigator.load()
+        await asyncio.to_thread(self.trials.live.prepare)
         # Once all that computes is loaded: a limit does not hold for what is loaded after it.
         compute_in_calling_threads()
         self._recorder.recover()
@@ -408,12 +426,13 @@ class Rig:
             raise RefusedError("trial_running", "a trial keeps the registration it began with: end it first")
 
     def _calibration_objection(self, session: str) -> str:
-        """Return why a session's calibration must not move the tip now, or ""."""
+        """Return why a session's calibration must not move the tip any more, or ""."""
         if not self.lease.holds(session):
-            return "the lease ended"
-        if not self.lease.console_heard_within(self.settings.guards.console_s, self._clock()):
-            return "the page that leads it is silent"
+            return "the page that leads it fell silent, or gave the lease back"
         return "a trial was begun" if self._recorder.trial is not None else ""
+
+    def _page_is_silent(self) -> bool:
+        return not self.lease.console_heard_within(self.settings.guards.console_s, self._clock())
 
     def _use_calibration(self, calibration: Calibration) -> None:
         """Go by a calibration that was just made; the vessel's registration was made for another."""
@@ -438,9 +457,10 @@ class Rig:
 
     # -- callbacks of the loops ------------------------------------------------------------------------
 
-    def _on_command(self, topic: str, data: Mapping[str, object]) -> None:
-        self.marks.on_motion(self._clock())
+    def _on_control(self, topic: str, data: Mapping[str, Any]) -> None:
         self.herald.record(topic, data)
+        if topic == "command":
+            self.marks.on_motion(data["sent_s"])
 
     def _on_change(self, change: Transition) -> None:
         """Announce a change of mode, and what it means."""
@@ -472,18 +492,9 @@ class Rig:
         self.frames.put(frame)
         self.control.scene.see(track)
         self.telemetry.camera.add(self._clock())
+        self.herald.record("track", track_fields(track))
         self.marks.on_track(track, self.control.machine.mode, self.control.scene.distance_um)
-        vessel = track.vessel
-        self.herald.record(
-            "track",
-            {
-                "taken_s": track.taken_s,
-                "state": track.state.value,
-                "vessel": None if vessel is None else [round(vessel.x_px, 4), round(vessel.y_px, 4)],
-                "confidence": round(track.confidence, 3),
-                "sigma_um": round(track.sigma_um, 3),
-            },
-        )
+        self.trials.live.on_track(track)
         self._fresh_track.set()
 
     def _on_areas(self) -> None:
@@ -519,6 +530,7 @@ class Rig:
     def _counters(self) -> dict[str, int]:
         counters = Counter(self.control.drive.counters)
         counters.update(self._hand_link.counters)
+        counters.update(self.hand_seat.counters)
         counters.update(self.hand.counters)
         return dict(counters)
 

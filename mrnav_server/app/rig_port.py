@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
+from mrnav_server.app.page_hand import Seat
 from mrnav_server.core.frames import Calibration, VesselPoint
 from mrnav_server.core.records import CriticalArea, Frame, RigState
 from mrnav_server.core.vessel import VesselMap
@@ -55,6 +56,9 @@ class Trials(Protocol):
 
     async def end(self, trial_id: str) -> dict[str, Any]:
         """End a trial and return its result."""
+
+    async def live_metrics(self, trial_id: str) -> dict[str, Any] | None:
+        """Return the running trial's metrics up to now; None if it is not the running one."""
 
 
 class Console(Protocol):
@@ -154,6 +158,10 @@ class RigPort(Protocol):
     @property
     def console(self) -> Console:
         """Modes, control and STOP."""
+
+    @property
+    def hand_seat(self) -> Seat:
+        """Where a page becomes the rig's hand."""
 
     @property
     def calibrating(self) -> Calibrating:

@@ -67,6 +67,25 @@ class TrialBody(_Body):
     notes: Annotated[str, Field(max_length=2000)] = ""
 
 
+class TlxChoice(_Body):
+    """One pair of scales, and which of the two contributed more to the workload."""
+
+    left: Identifier
+    right: Identifier
+    chosen: Identifier
+
+
+class TlxBody(_Body):
+    """A questionnaire: a mark per scale, and the fifteen choices in the order in which they were asked.
+
+    ``replace`` corrects answers that are there already; they are kept beside.
+    """
+
+    ratings: Annotated[dict[Identifier, int], Field(max_length=12)]
+    choices: Annotated[list[TlxChoice], Field(max_length=30)]
+    replace: bool = False
+
+
 class RegistrationBody(_Body):
     """Where the vessel lies: found in the picture, or moved by hand from where it is taken to lie."""
 
@@ -94,5 +113,19 @@ class AskMessage(ModeBody):
     type: Literal["ask"]
 
 
-TwinMessage = Annotated[Heartbeat | AskMessage, Field(discriminator="type")]
-"""What a client may send over ``/ws/twin``."""
+class TakeHand(_Body):
+    """A page wants to be the rig's hand; ``frame`` are the axes of its positions."""
+
+    type: Literal["take_hand"]
+    client: Annotated[str, Field(min_length=1, max_length=64)] = "page"
+    frame: Literal["stage", "webxr", "unity"] = "stage"
+
+
+class GiveHand(_Body):
+    """A page gives the hand's seat back."""
+
+    type: Literal["give_hand"]
+
+
+TwinMessage = Annotated[Heartbeat | AskMessage | TakeHand | GiveHand, Field(discriminator="type")]
+"""What a client may send over ``/ws/twin``, beside the hand link's ``hand``."""

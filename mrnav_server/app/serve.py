@@ -19,6 +19,7 @@ from mrnav_server.app import connections
 from mrnav_server.app.ready import Ready, announced, own_file
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.server import create_app
+from mrnav_server.app.study_desk import LedStudy
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.loops.priority import prefer_this_process
 from mrnav_server.settings import ServerConfig, Settings
@@ -42,6 +43,7 @@ def serve(
     settings: Settings,
     announce: Callable[[Ready], None],
     ready_file: Path | None = None,
+    study: LedStudy | None = None,
 ) -> None:
     """Run a rig and its server until SIGTERM or SIGINT.
 
@@ -50,6 +52,7 @@ def serve(
         settings: Tokens that are missing are made.
         announce: Told once clients may come.
         ready_file: Gets what ``announce`` is told, as a line of JSON, readable by this user alone.
+        study: What to lead the experimenter through; None without a study.
 
     Raises:
         ConfigError: If a port is taken, the certificate cannot be used, or the rig cannot be built or opened.
@@ -64,7 +67,9 @@ def serve(
     with bound_socket(settings.server.host, settings.server.port) as listener:
         try:
             asyncio.run(
-                _process(build_rig(settings), settings, listener, announce, ready_file, preferred=preferred)
+                _process(
+                    build_rig(settings), settings, listener, announce, ready_file, study, preferred=preferred
+                )
             )
         except BaseExceptionGroup as group:
             config = group.subgroup(ConfigError)
@@ -79,11 +84,12 @@ async def _process(
     listener: socket.socket,
     announce: Callable[[Ready], None],
     ready_file: Path | None,
+    study: LedStudy | None,
     *,
     preferred: bool,
 ) -> None:
-    app = create_app(rig, settings)
-    server = RigServer(_uvicorn_config(app, settings.server))
+    app = create_app(rig, settings, study)
+    server = RigServer(uvicorn_config(app, settings.server))
     started = asyncio.Event()
 
     async def run_rig() -> None:
@@ -93,7 +99,7 @@ async def _process(
     async def run_web() -> None:
         await started.wait()
         listener.listen()
-        ready = _ready(settings.server, listener, rig.hand_port)
+        ready = ready_for(settings.server, listener, rig.hand_port)
         try:
             files.enter_context(announced(ready, own_file()))
         except OSError as error:
@@ -121,7 +127,8 @@ async def _process(
             app.state.context.encoder.close()
 
 
-def _uvicorn_config(app: FastAPI, config: ServerConfig) -> uvicorn.Config:
+def uvicorn_config(app: FastAPI, config: ServerConfig) -> uvicorn.Config:
+    """Return how the web server runs an application."""
     return uvicorn.Config(
         app,
         http=connections.TimedHttp,
@@ -184,7 +191,14 @@ def _check_certificate(config: ServerConfig) -> None:
         raise ConfigError(f"server.tls_certificate: {files} cannot be used ({error})") from None
 
 
-def _ready(config: ServerConfig, listener: socket.socket, hand_port: int) -> Ready:
+def ready_for(config: ServerConfig, listener: socket.socket, hand_port: int) -> Ready:
+    """Return what a client needs to come in.
+
+    Args:
+        config: With tokens.
+        listener: The bound web socket.
+        hand_port: The hand link's real port.
+    """
     port = listener.getsockname()[1]
     scheme = "https" if config.tls_certificate else "http"
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(config.host, config.host)

@@ -1,12 +1,13 @@
 """The web application: routes, guards and pages around a rig."""
 
+import time
 from html import escape
 from typing import Any
 
 import cv2
 import numpy as np
-from fastapi import FastAPI
-from fastapi.responses import HTMLResponse
+from fastapi import FastAPI, Request
+from fastapi.responses import FileResponse, HTMLResponse
 
 from mrnav_server import __version__
 from mrnav_server.app import api
@@ -16,6 +17,7 @@ from mrnav_server.app.guards import BoundedBodies, SecurityHeaders, content_poli
 from mrnav_server.app.pages import Pages, pages_folder
 from mrnav_server.app.problems import install_problems
 from mrnav_server.app.rig_port import RigPort
+from mrnav_server.app.study_desk import LedStudy, StudyDesk
 from mrnav_server.app.twin import TwinHub
 from mrnav_server.app.video import VideoHub
 from mrnav_server.settings import Settings
@@ -23,26 +25,33 @@ from mrnav_server.settings import Settings
 _OPENAPI = "/api/v1/openapi.json"
 
 
-def create_app(rig: RigPort, settings: Settings) -> FastAPI:
+def create_app(rig: RigPort, settings: Settings, study: LedStudy | None = None) -> FastAPI:
     """Return the web application of a rig. Touches no device and starts nothing.
 
     Args:
         rig: The rig; it need not run yet.
         settings: Their tokens must be set (``Settings.with_tokens``).
+        study: What to lead the experimenter through; None without a study.
     """
     app = FastAPI(
         title="mrnav-server", version=__version__, openapi_url=_OPENAPI, docs_url=None, redoc_url=None
     )
     gate = Gate(settings.server)
     _, png = cv2.imencode(".png", rig.vessel.lumen.astype(np.uint8) * 255)
-    app.state.context = AppContext(rig, gate, TwinHub(rig), rig.encoder, VideoHub(rig.encoder), png.tobytes())
+    desk = StudyDesk(study, settings.rig.vessel, rig.trials, time.monotonic) if study is not None else None
+    app.state.context = AppContext(
+        rig, gate, TwinHub(rig), rig.encoder, VideoHub(rig.encoder), png.tobytes(), desk
+    )
     install_problems(app)
     for router in (api.health, api.streams, api.api):
         app.include_router(router)
 
-    @app.get("/docs", include_in_schema=False)
-    async def docs() -> HTMLResponse:
-        return HTMLResponse(_docs(app.openapi()))
+    app.get("/docs", include_in_schema=False)(_docs_page)
+    if settings.server.tls_authority is not None:
+
+        @app.api_route("/ca.crt", methods=["GET", "HEAD"], include_in_schema=False)
+        async def authority() -> FileResponse:
+            return FileResponse(settings.server.tls_authority or "", media_type="application/x-x509-ca-cert")
 
     folder = pages_folder()
     app.mount("/static", Pages(folder, gate.tokens), name="static")
@@ -50,6 +59,11 @@ def create_app(rig: RigPort, settings: Settings) -> FastAPI:
     app.add_middleware(BoundedBodies)
     app.add_middleware(SecurityHeaders, policy=content_policy(folder))
     return app
+
+
+async def _docs_page(request: Request) -> HTMLResponse:
+    # Not a closure over the application: the framework remembers its endpoints, and with them a whole rig.
+    return HTMLResponse(_docs(request.app.openapi()))
 
 
 def _docs(openapi: dict[str, Any]) -> str:

@@ -6,17 +6,17 @@ Each client has its own place in the newest-wins stream, so nobody waits for any
 import asyncio
 import logging
 import secrets
-import time
 from typing import Any
 
 import orjson
 from fastapi import WebSocket, WebSocketDisconnect
 from pydantic import TypeAdapter, ValidationError
 
-from mrnav_server.app.auth import OPERATORS_ONLY, Principal, Role
+from mrnav_server.app.auth import OPERATORS_ONLY, Principal, Role, session_name
+from mrnav_server.app.page_hand import PageHand, lease_fields
 from mrnav_server.app.problems import ApiError
 from mrnav_server.app.rig_port import RigPort
-from mrnav_server.app.schemas import AskMessage, Heartbeat, TwinMessage
+from mrnav_server.app.schemas import AskMessage, GiveHand, Heartbeat, TakeHand, TwinMessage
 from mrnav_server.core.errors import RefusedError, WireError
 from mrnav_server.core.peer_limits import TokenBucket
 from mrnav_server.core.records import RigState
@@ -24,10 +24,10 @@ from mrnav_server.core.wire_twin import twin_state
 from mrnav_server.loops.events import LaggingReaderError, Subscription
 
 SLOW_READER_S = 2.0
-_MAX_CLIENTS = 64
+_MAX_CLIENTS = 128
 _MESSAGES_PER_S = 120.0
 _MAX_WAITING_ASKS = 8
-_MESSAGE: TypeAdapter[Heartbeat | AskMessage] = TypeAdapter(TwinMessage)
+_MESSAGE: TypeAdapter[Heartbeat | AskMessage | TakeHand | GiveHand] = TypeAdapter(TwinMessage)
 _log = logging.getLogger(__name__)
 
 
@@ -69,6 +69,7 @@ class TwinHub:
                     group.create_task(client.send_events(events), name="twin events")
                     group.create_task(client.receive(), name="twin messages")
                     group.create_task(client.obey(), name="twin asks")
+                    group.create_task(client.send_hand_news(), name="hand news")
         except* WebSocketDisconnect:
             pass
         except* (TimeoutError, LaggingReaderError):
@@ -78,14 +79,16 @@ class TwinHub:
         except* WireError as errors:
             await client.close(errors)
         finally:
+            client.hand.leave()
             self.clients -= 1
 
     async def _send_states(self, client: "_Client", rate_hz: float) -> None:
-        version, due_s = 0, time.monotonic()
+        clock = asyncio.get_running_loop().time
+        version, due_s = 0, clock()
         while True:
             state, version = await self._rig.states.newer_than(version)
             await client.send(self._text(state, version))
-            now_s = time.monotonic()
+            now_s = clock()
             due_s = max(due_s + 1.0 / rate_hz, now_s - 1.0 / rate_hz)
             await asyncio.sleep(max(0.0, due_s - now_s))
 
@@ -103,47 +106,71 @@ class _Client:
         self._rig = rig
         self._websocket = websocket
         self._role = role
-        self._session = f"page-{secrets.token_hex(6)}"
+        self._secret = f"page-{secrets.token_urlsafe(16)}"
+        self._session = session_name(self._secret, role)
         self._bucket = TokenBucket(_MESSAGES_PER_S, _MESSAGES_PER_S)
         self._asks: asyncio.Queue[AskMessage] = asyncio.Queue(_MAX_WAITING_ASKS)
+        self._hand_news: asyncio.Queue[dict[str, object]] = asyncio.Queue()
+        self.hand = PageHand(rig.hand_seat, lambda *news: self._hand_news.put_nowait(lease_fields(*news)))
 
     def snapshot(self) -> dict[str, Any]:
         # Pages know two roles; what a chief may do besides is asked for over REST.
-        return self._rig.snapshot(self._session, min(self._role, Role.OPERATOR).name.lower())
+        role = min(self._role, Role.OPERATOR).name.lower()
+        own = {"session": self._secret, "seat": self._session, "chief": self._role >= Role.CHIEF}
+        return {**self._rig.snapshot(self._session, role), **own}
 
     async def send(self, text: str) -> None:
         async with asyncio.timeout(SLOW_READER_S):
-            await self._websocket.send_text(text)
+            try:
+                await self._websocket.send_text(text)
+            except RuntimeError:
+                # The server closed it meanwhile: the client did not answer its pings.
+                raise WebSocketDisconnect(1006) from None
 
     async def send_events(self, events: Subscription) -> None:
         while True:
             await self.send(orjson.dumps(await events.get()).decode())
+
+    async def send_hand_news(self) -> None:
+        while True:
+            await self.send(orjson.dumps(await self._hand_news.get()).decode())
 
     async def receive(self) -> None:
         while True:
             message = await self._websocket.receive()
             if message["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect(message.get("code", 1005))
-            if not self._bucket.take(time.monotonic()):
+            if not self._bucket.take(asyncio.get_running_loop().time()):
                 raise WireError("flood", f"more than {_MESSAGES_PER_S:.0f} messages a second")
-            await self._take(_parsed(message.get("text")))
+            text = message.get("text")
+            if text is None:
+                raise WireError("bad_message", "messages are text")
+            content = _json(text)
+            if isinstance(content, dict) and content.get("type") == "hand":
+                self.hand.take(text.encode())
+            else:
+                await self._take(_checked(content))
 
     async def obey(self) -> None:
         """Pass the asks on in their order; one that plans a path takes a while, and nothing else waits."""
         while True:
             ask = await self._asks.get()
             try:
-                await self._rig.console.ask(ask.ask, self._session, ask.area)
+                await self._rig.console.ask(ask.ask, self.hand.session or self._session, ask.area)
             except RefusedError as error:
                 await self._answer(error.code, str(error))
             else:
                 await self._answer("ok")
 
-    async def _take(self, message: Heartbeat | AskMessage) -> None:
+    async def _take(self, message: Heartbeat | AskMessage | TakeHand | GiveHand) -> None:
         """Do at once what is urgent, check the role, and leave the rest to ``obey``."""
         if isinstance(message, AskMessage) and message.ask == "stop":
             self._rig.console.stop_now(self._session)  # anyone may stop
             await self._answer("ok")
+        elif isinstance(message, TakeHand | GiveHand):
+            refused = lease_fields(False, "forbidden", OPERATORS_ONLY)
+            answer = self.hand.answer(message) if self._role >= Role.OPERATOR else refused
+            self._hand_news.put_nowait(answer)
         elif self._role < Role.OPERATOR:
             await self._answer("forbidden", OPERATORS_ONLY)
         elif isinstance(message, Heartbeat):
@@ -165,14 +192,17 @@ class _Client:
             await self._websocket.close(1008, reason.encode()[:120].decode(errors="ignore"))
 
 
-def _parsed(text: str | None) -> Heartbeat | AskMessage:
-    if text is None:
-        raise WireError("bad_message", "messages are text")
+def _json(text: str) -> object:
     try:
         # orjson refuses what json lets through: NaN, Infinity, 1e999, endless nesting.
-        return _MESSAGE.validate_python(orjson.loads(text))
+        return orjson.loads(text)
     except orjson.JSONDecodeError:
         raise WireError("bad_json", "the message is not JSON") from None
+
+
+def _checked(content: object) -> Heartbeat | AskMessage | TakeHand | GiveHand:
+    try:
+        return _MESSAGE.validate_python(content)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         field = ".".join(str(part) for part in first["loc"]) or "message"

@@ -16,30 +16,41 @@ from mrnav_server.cli.evaluate import evaluate
 from mrnav_server.cli.figure import curves, discount, trajectories
 from mrnav_server.cli.map import models
 from mrnav_server.cli.measure import measure
+from mrnav_server.cli.metrics import metrics
 from mrnav_server.cli.operator import operator
 from mrnav_server.cli.policy import policies
 from mrnav_server.cli.register import register
+from mrnav_server.cli.replay import replay
 from mrnav_server.cli.report import report
 from mrnav_server.cli.serve import serve
+from mrnav_server.cli.stats import stats
 from mrnav_server.cli.stop import stop
+from mrnav_server.cli.study import studies
 from mrnav_server.cli.sweep import sweep
+from mrnav_server.cli.tls import tls
+from mrnav_server.cli.tlx import tlx
 from mrnav_server.cli.track import track
 from mrnav_server.cli.train import train
 from mrnav_server.core.errors import ConfigError, MrnavError
 
-_EXTRAS = {"gymnasium": "train", "matplotlib": "study", "skimage": "vessels"}
+_EXTRAS = {"gymnasium": "train", "matplotlib": "study", "skimage": "vessels", "cryptography": "tls"}
 """Packages that only some commands need, and the extra that brings them."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
-for command in (serve, stop, demo, operator, doctor, train, sweep, evaluate, report, register, track):
+for command in (serve, stop, demo, operator, doctor, train, sweep, evaluate, report, register, track, stats):
     app.command()(command)
 # What follows a benchmark's name are its own options.
 app.command(context_settings={"ignore_unknown_options": True})(bench)
+app.command()(metrics)
+app.command()(replay)
+app.command()(tls)
+app.command()(tlx)
 app.add_typer(models, name="map")
 app.add_typer(policies, name="policy")
 app.add_typer(calibrate, name="calibrate")
 app.add_typer(emulate, name="emulate")
 app.add_typer(measure, name="measure")
+app.add_typer(studies, name="study")
 figures = typer.Typer(no_args_is_help=True, help="The figures of the learning results (simulated).")
 for figure in (curves, trajectories, discount):
     figures.command()(figure)

@@ -18,6 +18,7 @@ def report(
     ] = False,
 ) -> None:
     """Compute a trial's metrics and draw its trajectory, from its log alone."""
+    from mrnav_server.core.metric_flags import FLAGS
     from mrnav_server.loops.trial_log import LOG_NAME, read_header
     from mrnav_server.study.trial_report import PICTURE_NAME, write_trial_report
     from mrnav_server.vision.model_store import find_model
@@ -39,8 +40,12 @@ def report(
     for column in ("metric", origin, "direction"):
         table.add_column(column)
     for name, value in result["metrics"].items():
+        if name == "flags":
+            continue
         shown = value["value"] if isinstance(value, dict) else value
         text = "–" if shown is None else f"{shown:.4g}" if isinstance(shown, float) else str(shown)
         table.add_row(name, text, result["direction"].get(name, ""))
     Console().print(table)
+    for flag in result["metrics"]["flags"]:
+        Console().print(f"[yellow]{flag}:[/] {FLAGS[flag]}", highlight=False)
     Console().print(f"picture: {trial / PICTURE_NAME}")

@@ -22,6 +22,9 @@ def serve(
     ready_file: Annotated[
         Path | None, typer.Option(help="File that gets addresses and tokens as JSON once the rig is ready.")
     ] = None,
+    study: Annotated[
+        Path | None, typer.Option(help="Study to lead through; its next step chooses the vessel model.")
+    ] = None,
     open_page: Annotated[bool, typer.Option("--open", help="Open the dashboard in a browser.")] = False,
 ) -> None:
     """Start the rig and its server; Ctrl-C stops both.
@@ -30,10 +33,12 @@ def serve(
     """
     from mrnav_server.app.rig import Rig
     from mrnav_server.app.serve import serve as run_server
+    from mrnav_server.cli.study_lead import led_study, variables
     from mrnav_server.settings import load_settings
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
-    settings = load_settings(config, os.environ)
+    led = led_study(study) if study is not None else None
+    settings = load_settings(config, {**os.environ, **(variables(led) if led else {})})
     simulated = settings.manipulator.driver == settings.rig.camera == "simulated"
 
     def announce(ready: "Ready") -> None:
@@ -43,4 +48,4 @@ def serve(
         if open_page:
             webbrowser.open(ready.url)
 
-    run_server(Rig, settings, announce, ready_file)
+    run_server(Rig, settings, announce, ready_file, led)

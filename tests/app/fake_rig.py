@@ -1,23 +1,27 @@
 """A rig without devices: what the server asks of it is noted, what it publishes is put by the test."""
 
 import asyncio
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from fastapi import FastAPI
 
-from mrnav_server.app.serve import RigServer, _uvicorn_config, bound_socket
+from mrnav_server.app.page_hand import Tell
+from mrnav_server.app.serve import RigServer, bound_socket, uvicorn_config
 from mrnav_server.app.video import VideoEncoder
 from mrnav_server.core.areas import CriticalAreas
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.frames import Affine2, Calibration, ImagePoint, VesselPoint
+from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.modes import Mode, Severity
 from mrnav_server.core.picture import PictureFormat
 from mrnav_server.core.records import Frame, LeaseState, Percentiles, RigState
 from mrnav_server.core.vessel import VesselMap
+from mrnav_server.core.wire_hand import Hello
 from mrnav_server.core.wire_twin import RigCard, snapshot
 from mrnav_server.loops.events import EventBus
 from mrnav_server.loops.latest import Latest
@@ -77,6 +81,7 @@ class FakeTrials:
     def __init__(self, note: Callable[..., None]) -> None:
         self._note = note
         self._trials: list[dict[str, Any]] = []
+        self.running = ""
 
     def list(self) -> list[dict[str, Any]]:
         return self._trials
@@ -89,6 +94,9 @@ class FakeTrials:
     async def end(self, trial_id: str) -> dict[str, Any]:
         self._note("end_trial", trial_id)
         return {"id": trial_id, "duration_s": 1.0}
+
+    async def live_metrics(self, trial_id: str) -> dict[str, Any] | None:
+        return {"id": trial_id, "reached": False, "metrics": {}} if trial_id == self.running else None
 
 
 class FakeRegistration:
@@ -133,6 +141,38 @@ class FakeCalibration:
         return {"phase": "done"}
 
 
+class FakeSeat:
+    """Satisfies ``app.page_hand.Seat``: the first session sits, until a test says otherwise."""
+
+    transform: ClassVar[Mapping[str, object]] = {"gain": 0.04, "fine_gain": 0.01, "vertical_gain": 0.0}
+
+    def __init__(self) -> None:
+        self.counters: Counter[str] = Counter()
+        self.holder: tuple[str, str, Tell] | None = None
+        self.samples: list[HandSample] = []
+        self.told: list[tuple[str, str]] = []
+        self.time_s = 100.0
+
+    def now_s(self) -> float:
+        return self.time_s
+
+    def acquire(self, session: str, hello: Hello, tell: Tell) -> None:
+        if self.holder is not None:
+            raise RefusedError("lease_held", f"{self.holder[1]} has control")
+        self.holder = (session, hello.client, tell)
+
+    def take(self, sample: HandSample) -> None:
+        self.samples.append(sample)
+
+    def on_bad_numbers(self, session: str) -> None:
+        self.told.append(("bad_numbers", session))
+
+    def leave(self, session: str) -> None:
+        self.told.append(("left", session))
+        if self.holder is not None and self.holder[0] == session:
+            self.holder = None
+
+
 class FakeRig:
     """Satisfies ``app.rig_port.RigPort``."""
 
@@ -159,6 +199,7 @@ class FakeRig:
         self.not_ready: list[str] = []
         self.failure: Exception | None = None
         self.closing: Callable[[], None] | None = None
+        self.hand_seat = FakeSeat()
         self.trials = FakeTrials(self._note)
         self.registration = FakeRegistration(self._note)
         self.calibrating = FakeCalibration(self._note)
@@ -231,7 +272,7 @@ class FakeRig:
 @asynccontextmanager
 async def listening(app: FastAPI) -> AsyncIterator[int]:
     """Serve an app on a free port, as the process does; yields the port."""
-    server = RigServer(_uvicorn_config(app, SETTINGS.server))
+    server = RigServer(uvicorn_config(app, SETTINGS.server))
     with bound_socket("127.0.0.1", 0) as listener:
         listener.listen()
         async with asyncio.TaskGroup() as group:

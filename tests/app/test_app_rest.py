@@ -13,11 +13,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mrnav_server.core.errors import DeviceError, RefusedError
+from mrnav_server.core.tlx import KEYS, shown_pairs
 from tests.app.fake_rig import CHIEF_TOKEN, OPERATOR_TOKEN, VIEWER_TOKEN, FakeRig
 
 OWN = "http://127.0.0.1:8000"
 AREA = {"center": {"frame": "vessel", "x": 200, "y": 200}, "epsilon_um": 500, "label": "clot"}
 TRIAL = {"participant": "P01", "condition": "with_autonomy"}
+TLX = {
+    "ratings": dict.fromkeys(KEYS, 50),
+    "choices": [{"left": a, "right": b, "chosen": a} for a, b in shown_pairs("trial-1")],
+}
 OPEN, WATCH, CONTROL = "open", "watch", "control"
 
 ROUTES: dict[tuple[str, str], tuple[str, Any, int]] = {
@@ -53,6 +58,20 @@ ROUTES: dict[tuple[str, str], tuple[str, Any, int]] = {
     ("POST", "/api/v1/trials"): (CONTROL, TRIAL, 201),
     ("GET", "/api/v1/trials/{trial_id}"): (WATCH, None, 200),
     ("POST", "/api/v1/trials/{trial_id}/end"): (CONTROL, None, 200),
+    ("GET", "/api/v1/results"): (WATCH, None, 200),
+    ("GET", "/api/v1/tlx.csv"): (WATCH, None, 200),
+    # This trial is on no disk: test_results_routes.py has some that are.
+    ("GET", "/api/v1/trials/{trial_id}/result"): (WATCH, None, 404),
+    ("POST", "/api/v1/trials/{trial_id}/result"): (CONTROL, None, 404),
+    ("GET", "/api/v1/trials/{trial_id}/trajectory"): (WATCH, None, 404),
+    ("GET", "/api/v1/trials/{trial_id}/tlx"): (WATCH, None, 404),
+    ("POST", "/api/v1/trials/{trial_id}/tlx"): (CONTROL, TLX, 404),
+    ("GET", "/api/v1/trials/{trial_id}/tlx/form"): (WATCH, None, 404),
+    ("GET", "/api/v1/twin.schema.json"): (WATCH, None, 200),
+    ("GET", "/api/v1/study"): (WATCH, None, 404),
+    ("POST", "/api/v1/study/next"): (CONTROL, None, 404),
+    ("POST", "/api/v1/study/finish"): (CONTROL, None, 404),
+    ("POST", "/api/v1/study/interrupt"): (CONTROL, None, 404),
 }
 STREAMED = {("GET", "/video.mjpeg")}
 """Endless answers: refused below, served in test_app_streams.py."""
@@ -93,7 +112,7 @@ def test_the_matrix_knows_every_route(app: FastAPI) -> None:
 async def test_route_and_role(client: httpx.AsyncClient, method: str, template: str, token: str) -> None:
     needs, body, success = ROUTES.get((method, template), (WATCH, None, 200))
     tokens = {"viewer": VIEWER_TOKEN, "operator": OPERATOR_TOKEN, "chief": CHIEF_TOKEN, "wrong": "x" * 20}
-    headers = bearer(tokens[token]) if token else {}
+    headers = {"X-MRNAV-Session": "of-my-own"} | (bearer(tokens[token]) if token else {})
     answer = await client.request(method, path_of(template), json=body, headers=headers)
     if needs == OPEN or token in ("operator", "chief") or (token == "viewer" and needs == WATCH):
         assert answer.status_code == success, answer.text
@@ -180,7 +199,8 @@ async def test_refusals_are_409_with_their_code(client: httpx.AsyncClient, rig: 
         ("POST", "/api/v1/lease", {}),
         ("POST", "/api/v1/trials", TRIAL),
     ):
-        answer = await client.request(method, path, json=body, headers=bearer(OPERATOR_TOKEN))
+        headers = bearer(OPERATOR_TOKEN) | {"X-MRNAV-Session": "page-1"}
+        answer = await client.request(method, path, json=body, headers=headers)
         assert answer.status_code == 409
         assert answer.json() == {
             "title": "Conflict",
@@ -240,37 +260,43 @@ async def test_areas_in_three_frames_agree(client: httpx.AsyncClient, rig: FakeR
 
 async def test_the_lease_goes_to_the_session_that_asks(client: httpx.AsyncClient, rig: FakeRig) -> None:
     operator = bearer(OPERATOR_TOKEN)
-    await client.post("/api/v1/lease", json={"client": "script"}, headers=operator)
-    await client.post("/api/v1/lease", json={}, headers=operator | {"X-MRNAV-Session": "hand-7"})
-    page = operator | {"X-MRNAV-Session": "page-1"}
+    script, page = operator | {"X-MRNAV-Session": "hand-7"}, operator | {"X-MRNAV-Session": "page-1"}
+    answer = await client.post("/api/v1/lease", json={"client": "script"}, headers=script)
     await client.post("/api/v1/lease", json={}, headers=page)
     await client.request("DELETE", "/api/v1/lease", headers=page)
-    assert rig.asked == [
-        ("take_lease", "operator", "script"),
-        ("take_lease", "hand-7", "page"),
-        ("take_lease", "page-1", "page"),
-        ("give_lease", "page-1"),
-    ]
+    (_, one, _), (_, other, _), (_, given) = rig.asked
+    assert answer.json() == {"session": one}
+    assert one != other == given
     bad = await client.post("/api/v1/lease", json={}, headers=operator | {"X-MRNAV-Session": "a b"})
     assert (bad.status_code, bad.json()["code"]) == (400, "bad_session")
+    none = await client.post("/api/v1/lease", json={}, headers=operator)
+    assert (none.status_code, none.json()["code"]) == (400, "no_session")
+    assert len(rig.asked) == 3
 
 
 async def test_an_operator_takes_control_from_nobody(client: httpx.AsyncClient, rig: FakeRig) -> None:
+    own = {"X-MRNAV-Session": "of-my-own"}
     for token in (VIEWER_TOKEN, OPERATOR_TOKEN):
-        answer = await client.post("/api/v1/lease", json={"force": True}, headers=bearer(token))
+        answer = await client.post("/api/v1/lease", json={"force": True}, headers=bearer(token) | own)
         assert (answer.status_code, answer.json()["code"]) == (403, "forbidden")
     assert rig.asked == []
     body = {"force": True, "client": "chief"}
-    answer = await client.post("/api/v1/lease", json=body, headers=bearer(CHIEF_TOKEN))
-    assert (answer.status_code, answer.json()) == (200, {"session": "chief"})
-    assert rig.asked == [("take_over", "chief", "chief")]
+    answer = await client.post("/api/v1/lease", json=body, headers=bearer(CHIEF_TOKEN) | own)
+    assert answer.status_code == 200
+    assert rig.asked == [("take_over", answer.json()["session"], "chief")]
 
 
-async def test_a_session_of_another_role_is_not_acted_for(client: httpx.AsyncClient, rig: FakeRig) -> None:
-    claimed = bearer(OPERATOR_TOKEN) | {"X-MRNAV-Session": "chief"}
-    await client.post("/api/v1/mode", json={"ask": "arm"}, headers=claimed)
-    await client.post("/api/v1/mode", json={"ask": "stop"}, headers=claimed)
-    assert rig.asked == [("arm", "operator", ""), ("stop_now", "operator")]
+async def test_who_reads_the_holders_name_cannot_act_for_it(client: httpx.AsyncClient, rig: FakeRig) -> None:
+    secret = bearer(OPERATOR_TOKEN) | {"X-MRNAV-Session": "secret-of-the-holder"}
+    shown = (await client.post("/api/v1/lease", json={}, headers=secret)).json()["session"]
+    for claimed in (bearer(token) | {"X-MRNAV-Session": shown} for token in (OPERATOR_TOKEN, CHIEF_TOKEN)):
+        await client.request("DELETE", "/api/v1/lease", headers=claimed)
+        await client.post("/api/v1/mode", json={"ask": "stop"}, headers=claimed)
+    # Another role's client with the same secret is another session, too.
+    secret["Authorization"] = f"Bearer {CHIEF_TOKEN}"
+    await client.request("DELETE", "/api/v1/lease", headers=secret)
+    assert [ask for ask, *_ in rig.asked[1:]] == ["give_lease", "stop_now"] * 2 + ["give_lease"]
+    assert all(shown not in by for _, *by in rig.asked[1:])
 
 
 AREA_TEXT = '{"center":{"frame":"vessel","x":%s,"y":200},"epsilon_um":%s,"label":""}'

@@ -93,6 +93,8 @@ async def test_every_page_has_a_session_of_its_own(site: Site) -> None:
     async with site.twin() as one, site.twin("viewer") as other:
         first, second = await message(one, "snapshot"), await message(other, "snapshot")
     assert first["session"] != second["session"]
+    for snapshot in (first, second):
+        assert snapshot["seat"] not in ("", snapshot["session"]), "what others see is not the secret"
     assert second["role"] == "viewer"
 
 
@@ -106,7 +108,7 @@ async def test_no_event_is_lost(site: Site) -> None:
 
 async def test_asks_are_answered(site: Site) -> None:
     async with site.twin() as link:
-        session = (await message(link, "snapshot"))["session"]
+        session = (await message(link, "snapshot"))["seat"]
         await link.send('{"type":"ask","ask":"auto","area":"area-1"}')
         assert await message(link, "answer") == {"type": "answer", "ok": True, "code": "ok", "message": ""}
         site.rig.refusal = RefusedError("no_lease", "take the lease first")
@@ -150,7 +152,7 @@ async def test_stop_and_heartbeats_do_not_wait_behind_a_slow_ask(site: Site) -> 
 
 async def test_a_viewer_may_stop_and_nothing_else_here_too(site: Site) -> None:
     async with site.twin("viewer") as link:
-        session = (await message(link, "snapshot"))["session"]
+        session = (await message(link, "snapshot"))["seat"]
         for ask in ("arm", "disarm", "manual", "auto", "hold", "reset"):
             await link.send(json.dumps({"type": "ask", "ask": ask}))
             assert (await message(link, "answer"))["code"] == "forbidden"

@@ -39,6 +39,8 @@ class Desk:
         self.rig = Rig(settings.with_tokens(), lambda: self.now_s)
         self.answer = asyncio.Event()
         self.planning = asyncio.Semaphore(0)
+        self.told: list[tuple[bool, str, str]] = []
+        """What the hand was told about its seat."""
         self._planner = planner
         self._seq = 0
         for index in (0, 1):
@@ -49,7 +51,7 @@ class Desk:
         self.rig.navigator.autopilot.refusal = ""
         self.rig.navigator.plan = self._plan  # type: ignore[method-assign]
         self.rig.console.take_lease("page", "Dashboard")
-        assert self.rig._hand_link.acquire("hand", HELLO)
+        self.rig._hand_link.acquire("hand", HELLO, lambda *news: self.told.append(news))
         self.tick()
         await self.rig.console.ask("arm", "page", None)
 

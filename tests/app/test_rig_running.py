@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from mrnav_server.app.auth import Role, session_name
 from mrnav_server.app.rig import Rig
 from mrnav_server.core.errors import DeviceError
 from mrnav_server.core.modes import Mode
@@ -78,7 +79,7 @@ async def test_two_hands_and_only_the_first_moves_the_rig(rig: Rig) -> None:
         assert (first.welcome["lease"], second.welcome["lease"]) == (True, False)
         first.send(clutch=False)
         await until(rig, lambda: rig.control.facts.hand_fresh)
-        await rig.console.ask("arm", first.welcome["session"], None)
+        await rig.console.ask("arm", session_name(first.welcome["session"], Role.OPERATOR), None)
         commands = rig.control.drive.counters["commands"]
         for step in range(20):
             second.send(clutch=True, x_m=0.002 * step)
@@ -110,7 +111,7 @@ async def test_numbers_that_are_not_finite_move_nothing_and_end_in_hold(rig: Rig
             rig,
             lambda: rig.hand.fresh(asyncio.get_running_loop().time()) and rig.control.scene.tip is not None,
         )
-        await rig.console.ask("arm", hand.welcome["session"], None)
+        await rig.console.ask("arm", session_name(hand.welcome["session"], Role.OPERATOR), None)
         hand.send(clutch=True)
         for _ in range(4):
             hand.raw(

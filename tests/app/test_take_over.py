@@ -65,7 +65,8 @@ async def test_the_one_who_lost_control_moves_nothing_until_a_new_hello(desk: De
     assert not desk.rig.lease.state().hand
     with pytest.raises(RefusedError, match="Chief has control"):
         desk.rig.console.require_lease("page")
-    assert desk.rig._hand_link.acquire("hand-2", HELLO)
+    desk.rig._hand_link.acquire("hand-2", HELLO, lambda *_: None)
+    assert desk.rig.lease.state().hand
 
 
 async def test_the_clutch_does_not_resume_while_control_changes_hands(desk: Desk) -> None:
@@ -121,3 +122,22 @@ async def test_a_seat_that_falls_silent_is_announced(desk: Desk) -> None:
         ("lease", "Dashboard fell silent: its seat is free"),
         ("lease", "test fell silent: its seat is free"),
     ]
+
+
+async def test_the_hand_is_told_over_its_own_connection(desk: Desk) -> None:
+    await driving(desk)
+    await take_over(desk)
+    assert desk.told == [(False, "displaced", "Chief took control over: connect anew")]
+    with pytest.raises(RefusedError, match="connect anew"):
+        desk.rig._hand_link.acquire("hand", HELLO, lambda *_: None)
+
+
+async def test_a_hand_that_fell_silent_is_told_and_told_again_when_it_has_the_seat_back(desk: Desk) -> None:
+    await desk.open()
+    desk.now_s += 2.5
+    desk.rig.control.step(desk.now_s)
+    assert [(lease, code) for lease, code, _ in desk.told] == [(False, "silent")]
+    desk.tick()
+    assert desk.told[1:] == [(True, "ok", "")]
+    desk.rig._hand_link.on_closed("hand")
+    assert len(desk.told) == 2, "a hand that left is told nothing more"

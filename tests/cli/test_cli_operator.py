@@ -1,7 +1,6 @@
 """The operator's process: what it knows of the vessel, and what it makes of the twin and its events."""
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -19,6 +18,7 @@ from mrnav_server.core.frames import HandPoint
 from mrnav_server.core.modes import Mode
 from mrnav_server.sim.operator import MODEL_NAME, HandPose, Phase, Sight
 from mrnav_server.sim.operator_route import Route
+from mrnav_server.sim.virtual_time import AtOnce
 
 AREA = {"id": "area-1", "center": {"x_px": 800.0, "y_px": 300.0}}
 SNAPSHOT: dict[str, Any] = {
@@ -131,24 +131,6 @@ class FakeTwin:
         return self.events_left.pop(0) if self.events_left else None
 
 
-class AtOnce:
-    """An executor that finishes before it returns."""
-
-    def __init__(self, *_: object) -> None:
-        return
-
-    def __enter__(self) -> "AtOnce":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return
-
-    def submit(self, work: Callable[..., object], *arguments: object) -> "Future[object]":
-        done: Future[object] = Future()
-        done.set_result(work(*arguments))
-        return done
-
-
 def worked(
     monkeypatch: pytest.MonkeyPatch, chart: Chart, twins: list[dict[str, Any]], events: list[dict[str, Any]]
 ) -> tuple[Watcher, Desk]:
@@ -159,10 +141,9 @@ def worked(
     watcher = Watcher()
     monkeypatch.setattr(module, "HandLink", FakeLink)
     monkeypatch.setattr(module, "Twin", FakeTwin)
-    monkeypatch.setattr(module, "ThreadPoolExecutor", AtOnce)
     monkeypatch.setattr(module, "Chart", FakeChart)
     FakeLink.twins_left, FakeTwin.events_left = list(twins), list(events)
-    desk = Desk(Seat("host", 1, "http://host", "secret"), watcher)  # type: ignore[arg-type]
+    desk = Desk(Seat("host", 1, "http://host", "secret"), watcher, AtOnce())  # type: ignore[arg-type]
     with pytest.raises(ConnectionEndedError):
         desk.work(7, "with_autonomy", once=False)
     assert desk.seated
@@ -209,7 +190,7 @@ def test_a_new_area_is_a_new_way(monkeypatch: pytest.MonkeyPatch, chart: Chart) 
 
 
 def test_the_result_says_simulated_with_model_and_seed() -> None:
-    desk = Desk(Seat("host", 1, "http://host", "secret"), Watcher())  # type: ignore[arg-type]
+    desk = Desk(Seat("host", 1, "http://host", "secret"), Watcher(), AtOnce())  # type: ignore[arg-type]
     result = desk.result(7, "without_autonomy")
     assert result["simulated"] is True
     assert (result["model"], result["seed"], result["condition"]) == (MODEL_NAME, 7, "without_autonomy")

@@ -12,7 +12,8 @@ from rich.console import Console
 
 from benchmarks import operators
 from benchmarks._operators_summary import METRICS, summary, summary_table
-from benchmarks.operators import Task, Variant, far_site, parse_variant
+from benchmarks.operators import Task, Variant, parse_variant
+from mrnav_server.cli.simulated_trial import ROOM_UM, far_site
 from mrnav_server.core.frames import VesselPoint
 from mrnav_server.vision.vessel_model import vessel_map
 
@@ -92,14 +93,16 @@ def test_a_finished_trial_is_kept_and_a_failed_one_is_run_again(
     runs: list[Task] = []
     task = Task(Variant("default", {}), "with_autonomy", "network", 3, 1, 2500.0)
 
-    def run(task: Task, _: Path) -> dict[str, Any]:
+    def run(task: Task, _: Path, *, real_time: bool) -> dict[str, Any]:
         runs.append(task)
-        return {"completed": len(runs) > 1, "task": asdict(task), "run": len(runs)}
+        done = len(runs) > 1
+        return {"completed": done, "task": asdict(task), "real_time": real_time, "run": len(runs)}
 
     monkeypatch.setattr(operators, "run_trial", run)
-    assert [operators.finish(task, tmp_path)["run"] for _ in range(4)] == [1, 2, 2, 2]
+    assert [operators.finish(task, tmp_path, real_time=False)["run"] for _ in range(4)] == [1, 2, 2, 2]
     other = Task(Variant("default", {"MRNAV_HAND__GAIN": "0.05"}), "with_autonomy", "network", 3, 1, 2500.0)
-    assert operators.finish(other, tmp_path)["run"] == 3
+    assert operators.finish(other, tmp_path, real_time=False)["run"] == 3
+    assert operators.finish(other, tmp_path, real_time=True)["run"] == 4
 
 
 def test_the_site_is_far_and_has_room() -> None:
@@ -108,4 +111,4 @@ def test_the_site_is_far_and_has_room() -> None:
     vessel = vessel_map("channel", mask)
     site = far_site(vessel, VesselPoint(100.0, 300.0))
     assert site.x_px > 750.0
-    assert vessel.clearance_um(site) >= operators.ROOM_UM
+    assert vessel.clearance_um(site) >= ROOM_UM
