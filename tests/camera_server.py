@@ -35,8 +35,9 @@ class FailingCamera(SimulatedCamera):
         snapshot: Callable[[], Snapshot],
         render: Renderer,
         clock: Callable[[], float],
+        sleep: Callable[[float], None],
     ) -> None:
-        super().__init__(config, picture, snapshot, render, clock)
+        super().__init__(config, picture, snapshot, render, clock, sleep)
         self._wanted = self._fault = ""
         self._spoilt_s = 0.0
         self._told = threading.Event()

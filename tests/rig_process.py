@@ -47,7 +47,13 @@ class RigProcess:
             raise
 
     def _connect(self, ready: Path) -> None:
-        wait_for(lambda: ready.exists() and ready.read_text().endswith("\n"), 60.0, "the ready file")
+        def is_ready() -> bool:
+            assert self.process.poll() is None, (
+                f"the server ended: {ready.with_name('stderr.txt').read_text()}"
+            )
+            return ready.exists() and ready.read_text().endswith("\n")
+
+        wait_for(is_ready, 60.0, "the ready file")
         self.ready: dict[str, Any] = json.loads(ready.read_text())
         self.url = f"http://127.0.0.1:{self.ready['port']}"
         headers = {"Authorization": f"Bearer {self.ready['operator_token']}"}

@@ -98,7 +98,7 @@ class OperatorModel:
     regrip_s: float = 0.8
     reaction_s: float = 0.6
     grip_s: float = 0.2
-    patience_s: float = 0.0
+    patience_s: float = 0.15
     start_s: float = 0.35
     content_um: float = 120.0
     content_s: float = 0.3
