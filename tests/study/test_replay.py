@@ -203,6 +203,7 @@ def test_a_trial_may_begin_in_the_middle_of_a_task(rig: RecordedRig) -> None:
     rig.end()
     rig.begin()
     rig.advance(1.0)
+    rig.end()
     for folder in sorted(rig.root.iterdir()):
         replay = replay_trial(folder)
         assert replay.difference is None, str(replay.difference)
