@@ -1,20 +1,28 @@
 """uvicorn's connections with deadlines: a peer that neither talks nor reads is dropped."""
 
 import asyncio
+from collections.abc import Callable
 from typing import TYPE_CHECKING, cast
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.protocol import State
 
 if TYPE_CHECKING:
+    from starlette.types import Scope
     from uvicorn._types import ASGISendEvent
 
+WriteFrame = Callable[[bytes], bool]
+"""Writes one whole WebSocket frame; False, and nothing is written, if the last one is still on its way."""
+SLOW_READER_S = 2.0
+"""Who takes nothing for so long is dropped."""
 HEADER_DEADLINE_S = 5.0
 PING_S = 1.0
 PONG_DEADLINE_S = 2.0
 """A peer that does not read answers no ping: seconds of states may fit the kernels' buffers unseen."""
 _LINGER_S = 1.0
+_FRAMES = "frames"
 SEND_BUFFER_BYTES = 65_536
 """Kernel's send buffer of a connection: what a slow reader can pile up unseen."""
 
@@ -76,7 +84,20 @@ class TimedWebSocket(WebSocketsSansIOProtocol):
         super().keepalive_timeout()
         self.transport.abort()
 
+    def write_frame(self, frame: bytes) -> bool:
+        """Write a frame that is complete already; see ``WriteFrame``."""
+        if self.conn.state is not State.OPEN or self.transport.get_write_buffer_size():
+            return False
+        self.transport.write(frame)
+        return True
+
     async def run_asgi(self) -> None:
         """Run the handler; a closing that a peer does not read is cut short."""
+        self.scope["extensions"][_FRAMES] = {"write": self.write_frame}
         await super().run_asgi()
         self.loop.call_later(_LINGER_S, self.transport.abort)
+
+
+def frame_writer(scope: "Scope") -> WriteFrame:
+    """Return how to write whole frames to a WebSocket of this server."""
+    return cast(WriteFrame, scope["extensions"][_FRAMES]["write"])

@@ -226,14 +226,13 @@ class Rig:
             acquire=seat.acquire,
             on_sample=seat.take,
             on_closed=seat.leave,
-            twin_source=lambda: self._twin,
+            twin_source=self._twin_state,
             clock=clock,
             on_bad_numbers=seat.on_bad_numbers,
             limits={"speed_um_per_s": settings.limits.speed_um_per_s},
             transform=seat.transform,
             choose_scale=seat.choose_scale,
         )
-        self._twin: Mapping[str, object] | None = None
         self._tracker = Tracker(settings.tracker, self.calibration, live=not film)
         self._registration_warning = self.registration.restore()
         self._running = False
@@ -534,8 +533,11 @@ class Rig:
         counters.update(self.hand.counters)
         return dict(counters)
 
+    def _twin_state(self) -> Mapping[str, object] | None:
+        state = self.states.value
+        return None if state is None else wire_twin.twin_state(state, self.calibration)
+
     def _publish(self) -> None:
         state = self.telemetry.state(self._clock(), self._counters(), self._recorder.trial)
         self.states.put(state)
-        self._twin = wire_twin.twin_state(state, self.calibration)
         self.telemetry.on_published(state.track, self._clock())

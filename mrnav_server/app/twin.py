@@ -12,18 +12,17 @@ import orjson
 from fastapi import WebSocket, WebSocketDisconnect
 from pydantic import TypeAdapter, ValidationError
 
+from mrnav_server.app import connections
 from mrnav_server.app.auth import OPERATORS_ONLY, Principal, Role, session_name
 from mrnav_server.app.page_hand import PageHand, lease_fields
 from mrnav_server.app.problems import ApiError
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.schemas import AskMessage, GiveHand, Heartbeat, TakeHand, TwinMessage
+from mrnav_server.app.twin_states import TwinStates
 from mrnav_server.core.errors import RefusedError, WireError
 from mrnav_server.core.peer_limits import TokenBucket
-from mrnav_server.core.records import RigState
-from mrnav_server.core.wire_twin import twin_state
 from mrnav_server.loops.events import LaggingReaderError, Subscription
 
-SLOW_READER_S = 2.0
 _MAX_CLIENTS = 128
 _MESSAGES_PER_S = 120.0
 _MAX_WAITING_ASKS = 8
@@ -32,7 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 class TwinHub:
-    """Serves the twin stream to many clients; each state is encoded once.
+    """Serves the twin stream to many clients.
 
     Args:
         rig: The rig.
@@ -40,7 +39,7 @@ class TwinHub:
 
     def __init__(self, rig: RigPort) -> None:
         self._rig = rig
-        self._encoded = (0, "")
+        self._states = TwinStates(rig)
         self.clients = 0
         self.slow_readers = 0
 
@@ -61,11 +60,11 @@ class TwinHub:
         client = _Client(self._rig, websocket, principal.role)
         try:
             await websocket.accept()
+            write = connections.frame_writer(websocket.scope)
             with self._rig.events.subscribe() as events:
-                async with asyncio.TaskGroup() as group:
-                    # Whoever waits for a connection must not wait for the first state too.
-                    await client.send(orjson.dumps(client.snapshot()).decode())
-                    group.create_task(self._send_states(client, rate_hz), name="twin states")
+                # Whoever waits for a connection must not wait for the first state too.
+                await client.send(orjson.dumps(client.snapshot()).decode())
+                async with self._states.sent_to(write, rate_hz) as group:
                     group.create_task(client.send_events(events), name="twin events")
                     group.create_task(client.receive(), name="twin messages")
                     group.create_task(client.obey(), name="twin asks")
@@ -75,28 +74,12 @@ class TwinHub:
         except* (TimeoutError, LaggingReaderError):
             # No close frame: it would wait behind what this client does not read.
             self.slow_readers += 1
-            _log.warning("a twin client that did not read for %g s was dropped", SLOW_READER_S)
+            _log.warning("a twin client that did not read for %g s was dropped", connections.SLOW_READER_S)
         except* WireError as errors:
             await client.close(errors)
         finally:
             client.hand.leave()
             self.clients -= 1
-
-    async def _send_states(self, client: "_Client", rate_hz: float) -> None:
-        clock = asyncio.get_running_loop().time
-        version, due_s = 0, clock()
-        while True:
-            state, version = await self._rig.states.newer_than(version)
-            await client.send(self._text(state, version))
-            now_s = clock()
-            due_s = max(due_s + 1.0 / rate_hz, now_s - 1.0 / rate_hz)
-            await asyncio.sleep(max(0.0, due_s - now_s))
-
-    def _text(self, state: RigState, version: int) -> str:
-        """Return a state as JSON; the clients that come for the same version share it."""
-        if self._encoded[0] != version:
-            self._encoded = version, orjson.dumps(twin_state(state, self._rig.calibration)).decode()
-        return self._encoded[1]
 
 
 class _Client:
@@ -120,7 +103,7 @@ class _Client:
         return {**self._rig.snapshot(self._session, role), **own}
 
     async def send(self, text: str) -> None:
-        async with asyncio.timeout(SLOW_READER_S):
+        async with asyncio.timeout(connections.SLOW_READER_S):
             try:
                 await self._websocket.send_text(text)
             except RuntimeError:
@@ -188,7 +171,7 @@ class _Client:
         reason = "; ".join(
             f"{error.code}: {error}" for error in errors.exceptions if isinstance(error, WireError)
         )
-        async with asyncio.timeout(SLOW_READER_S):
+        async with asyncio.timeout(connections.SLOW_READER_S):
             await self._websocket.close(1008, reason.encode()[:120].decode(errors="ignore"))
 
 

@@ -11,8 +11,8 @@ from fastapi import WebSocket, WebSocketDisconnect
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from mrnav_server.app import connections
 from mrnav_server.app.problems import ApiError
-from mrnav_server.app.twin import SLOW_READER_S
 from mrnav_server.core.records import Frame
 from mrnav_server.loops.latest import Latest
 
@@ -107,7 +107,7 @@ class VideoHub:
         while True:
             frame, jpeg, version = await self._encoder.newer_than(version, width_px, quality)
             header = HEADER.pack(frame.number & 0xFFFFFFFF, 0, frame.taken_s)
-            async with asyncio.timeout(SLOW_READER_S):
+            async with asyncio.timeout(connections.SLOW_READER_S):
                 await websocket.send_bytes(header + jpeg)
 
     async def _parts(self, width_px: int, quality: int) -> AsyncIterator[bytes]:
@@ -123,14 +123,14 @@ class VideoHub:
 
     def _count_slow_reader(self) -> None:
         self.slow_readers += 1
-        _log.warning("a video client that did not read for %g s was dropped", SLOW_READER_S)
+        _log.warning("a video client that did not read for %g s was dropped", connections.SLOW_READER_S)
 
     async def stream(self, parts: AsyncIterator[bytes], send: Send) -> None:
         """Send a multipart answer's parts, each within the time limit."""
         self.clients += 1
         try:
             async for part in parts:
-                async with asyncio.timeout(SLOW_READER_S):
+                async with asyncio.timeout(connections.SLOW_READER_S):
                     await send({"type": "http.response.body", "body": part, "more_body": True})
         except TimeoutError:
             self._count_slow_reader()

@@ -1,6 +1,8 @@
 """The newest value of a stream: readers never queue up behind each other."""
 
 import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -17,6 +19,7 @@ class Latest(Generic[T]):
         self._value: T | None = None
         self._version = 0
         self._waiters: set[asyncio.Future[None]] = set()
+        self._listeners: list[Callable[[], object]] = []
 
     @property
     def value(self) -> T | None:
@@ -36,6 +39,17 @@ class Latest(Generic[T]):
             if not waiter.done():
                 waiter.set_result(None)
         self._waiters.clear()
+        for listener in self._listeners:
+            listener()
+
+    @contextmanager
+    def told(self, listener: Callable[[], object]) -> Iterator[None]:
+        """Call a listener after each put meanwhile; it must be quick, for the writer waits."""
+        self._listeners.append(listener)
+        try:
+            yield
+        finally:
+            self._listeners.remove(listener)
 
     async def newer_than(self, version: int) -> tuple[T, int]:
         """Wait for a value newer than ``version``; return it with its own version."""

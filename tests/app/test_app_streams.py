@@ -256,7 +256,7 @@ def ends_within(peer: socket.socket, span_s: float) -> bool:
 async def test_a_slow_reader_is_dropped_while_a_healthy_one_keeps_up(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(twin, "SLOW_READER_S", 0.3)
+    monkeypatch.setattr(connections, "SLOW_READER_S", 0.3)
     hub = site.app.state.context.twin
     deaf = deaf_client(site.port, f"/ws/twin?token={VIEWER_TOKEN}&rate_hz=120")
     path = tuple((float(i), float(i)) for i in range(64))

@@ -12,15 +12,17 @@ import pytest
 from fastapi import FastAPI
 from jsonschema import Draft202012Validator
 
-from mrnav_server.app import twin
+from mrnav_server.app import twin, twin_states
 from mrnav_server.app.schemas import AskMessage, GiveHand, Heartbeat, TakeHand
 from mrnav_server.app.twin_jsdoc import FILE, twin_types
 from mrnav_server.app.twin_schema import PATH, HandMessage, twin_schema
 from mrnav_server.cli.simulated_trial import SimulatedTrial
 from mrnav_server.cli.virtual_trial import run_in_this_process
+from mrnav_server.core.frames import Calibration
 from mrnav_server.core.modes import Severity
+from mrnav_server.core.records import RigState
 from mrnav_server.core.wire_hand import ClientFrame, parse_message
-from mrnav_server.core.wire_twin import TWIN_VERSION
+from mrnav_server.core.wire_twin import TWIN_VERSION, twin_state
 from mrnav_server.loops.events import Event, EventBus
 from tests.app.fake_rig import OPERATOR_TOKEN
 
@@ -60,6 +62,11 @@ def test_every_message_of_a_trial_is_as_the_schema_says(
         sent.append(json.loads(text))
         await send(self, text)
 
+    def described(state: RigState, calibration: Calibration) -> dict[str, object]:
+        fields = twin_state(state, calibration)
+        sent.append(orjson.loads(orjson.dumps(fields)))
+        return fields
+
     publish = EventBus.publish
 
     def told(self: EventBus, event: Event) -> None:
@@ -68,6 +75,7 @@ def test_every_message_of_a_trial_is_as_the_schema_says(
         publish(self, event)
 
     monkeypatch.setattr(twin._Client, "send", noted)
+    monkeypatch.setattr(twin_states, "twin_state", described)
     monkeypatch.setattr(EventBus, "publish", told)
     assert run_in_this_process(TRIAL, tmp_path)["completed"]
     states = [message for message in sent if message["type"] == "state"]
