@@ -3,8 +3,10 @@
  * @module
  */
 
+import { decodeJpeg } from "./jpeg.js";
 import { ReconnectingSocket } from "./socket.js";
 
+/** @import { Picture } from "./jpeg.js" */
 /** @import { Link } from "./socket.js" */
 
 const HEADER_BYTES = 16;
@@ -67,25 +69,25 @@ export class VideoView {
     this.#decoding = true;
     try {
       while (this.#next) {
-        const jpeg = new Blob([new Uint8Array(this.#next, HEADER_BYTES)], { type: "image/jpeg" });
+        const jpeg = new Uint8Array(this.#next, HEADER_BYTES);
         this.#next = null;
         // A damaged frame is skipped: the next one comes in 33 ms.
-        const bitmap = await createImageBitmap(jpeg).catch(() => null);
-        if (bitmap) this.#draw(bitmap);
+        const picture = await decodeJpeg(jpeg);
+        if (picture) this.#draw(picture);
       }
     } finally {
       this.#decoding = false;
     }
   }
 
-  /** @param {ImageBitmap} bitmap */
-  #draw(bitmap) {
-    if (this.#canvas.width !== bitmap.width || this.#canvas.height !== bitmap.height) {
-      this.#canvas.width = bitmap.width;
-      this.#canvas.height = bitmap.height;
+  /** @param {Picture} picture */
+  #draw({ image, width, height, close }) {
+    if (this.#canvas.width !== width || this.#canvas.height !== height) {
+      this.#canvas.width = width;
+      this.#canvas.height = height;
     }
-    this.#context.drawImage(bitmap, 0, 0);
-    bitmap.close();
+    this.#context.drawImage(image, 0, 0);
+    close();
     const now_ms = performance.now();
     if (this.last_ms === -Infinity) this.#onFirstFrame();
     this.last_ms = now_ms;
