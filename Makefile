@@ -31,9 +31,9 @@ demo: $(VENV)/.installed ## Let a simulated operator do one semi-autonomous tria
 test: $(VENV)/.installed-test ## Run all checks and all tests but the slow ones
 	@.ci/need 'chromium|chromium-browser|google-chrome' chromium
 	$(MAKE) check
-# A second chance, since a busy machine may stop any process for a second. What is broken fails twice.
-	$(PY) -m pytest --reruns 1 --numprocesses logical --maxprocesses 8 --dist loadfile $(REAL_TIME:%=--ignore %)
-	$(PY) -m pytest --reruns 1 $(REAL_TIME)
+# More chances, since a busy machine may stop any process for a second. What is broken fails each time.
+	$(PY) -m pytest --reruns 2 --reruns-delay 1 --numprocesses logical --maxprocesses 8 --dist loadfile $(REAL_TIME:%=--ignore %)
+	$(PY) -m pytest --reruns 2 --reruns-delay 1 $(REAL_TIME)
 
 check: $(VENV)/.installed-test check-static ## Format, lint, types, layers, pages
 	$(BIN)/ruff format --check .

@@ -1,6 +1,7 @@
 """What lies under the simulated microscope while the running server is calibrated: sheet, plate or vessel."""
 
 import asyncio
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -36,8 +37,6 @@ class SimulatedScene:
         self._scene = "vessel"
         self._microscope = self._over(vessel)
         self._bench: Microscope | None = None
-        blank = np.full((vessel.size_px, vessel.size_px), 255, np.uint8)
-        self._plate = vessel_map("plate", blank, vessel.um_per_px, settings.sim.magnets.robot_radius_um)
         self._start: VesselPoint | None = None
 
     def render(self, robot: VesselPoint | None, tip: StagePoint) -> ByteArray:
@@ -53,7 +52,7 @@ class SimulatedScene:
         """Do what a person would do who is asked for the sheet, the plate, or the robot on the plate."""
         bench = self._bench
         if bench is None:
-            bench = await asyncio.to_thread(self._over, self._plate)
+            bench = await asyncio.to_thread(lambda: self._over(self._plate))
         bench.lay(await asyncio.to_thread(self._floor, scene, sheet))
         if self._scene == "vessel":
             self._start = self._world.robot
@@ -69,6 +68,12 @@ class SimulatedScene:
             self._world.lay(self._vessel, self._start)
             self._world.place_robot(self._start)
         self._start, self._scene = None, "vessel"
+
+    @cached_property
+    def _plate(self) -> VesselMap:
+        blank = np.full((self._vessel.size_px, self._vessel.size_px), 255, np.uint8)
+        radius_um = self._settings.sim.magnets.robot_radius_um
+        return vessel_map("plate", blank, self._vessel.um_per_px, radius_um)
 
     def _over(self, vessel: VesselMap) -> Microscope:
         settings, world = self._settings, self._world

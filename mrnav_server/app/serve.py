@@ -7,8 +7,10 @@ import signal
 import socket
 import ssl
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
 
@@ -19,12 +21,13 @@ from mrnav_server.app import connections
 from mrnav_server.app.ready import Ready, announced, own_file
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.server import create_app
-from mrnav_server.app.study_desk import LedStudy
+from mrnav_server.app.study_progress import LedStudy
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.loops.priority import prefer_this_process
 from mrnav_server.settings import ServerConfig, Settings
 
 _SWITCH_INTERVAL_S = 0.0005
+_SLOW_TO_LOAD = "mrnav_server.autonomy.torchscript"
 _GRACE_S = 2
 _log = logging.getLogger(__name__)
 
@@ -65,6 +68,8 @@ def serve(
     if ready_file is not None:
         ready_file.unlink(missing_ok=True)
     with bound_socket(settings.server.host, settings.server.port) as listener:
+        # The slowest to load does so while the rig is built.
+        threading.Thread(target=import_module, args=(_SLOW_TO_LOAD,), name="loading", daemon=True).start()
         try:
             asyncio.run(
                 _process(
