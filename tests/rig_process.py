@@ -23,7 +23,9 @@ MRNAV = (sys.executable, "-m", "mrnav_server.cli.main")
 class RigProcess:
     """``mrnav serve`` on the simulated rig, with a console that keeps the lease alive."""
 
-    def __init__(self, folder: Path, *, command: Sequence[str] = MRNAV, **env: str) -> None:
+    def __init__(
+        self, folder: Path, *, command: Sequence[str] = MRNAV, arguments: Sequence[str] = (), **env: str
+    ) -> None:
         ready = folder / "ready.json"
         self.trials = folder / "trials"
         settings = {
@@ -34,7 +36,7 @@ class RigProcess:
         self._stack = ExitStack()
         self.operator: subprocess.Popen[bytes] | None = None
         self.process = subprocess.Popen(
-            [*command, "serve", "--ready-file", str(ready)],
+            [*command, "serve", "--ready-file", str(ready), *arguments],
             env=os.environ | settings | env,
             stdout=subprocess.DEVNULL,
             stderr=self._stack.enter_context((folder / "stderr.txt").open("w")),

@@ -72,6 +72,14 @@ class TrialDesk:
         self._film = film
         self._announce = announce
         self._ending = asyncio.Lock()
+        self._condition: Condition | None = None
+
+    @property
+    def auto_refusal(self) -> str:
+        """Why the running trial's condition leaves no AUTO, in plain words; "" if it does, or none runs."""
+        if self._recorder.trial is None or self._condition != "without_autonomy":
+            return ""
+        return f"trial {self._recorder.trial} runs without autonomy: steer by hand"
 
     def list(self) -> list[dict[str, Any]]:
         """Describe the trials on disk, oldest first."""
@@ -121,9 +129,9 @@ class TrialDesk:
             seeds={"sim": self._settings.sim.seed, "policy": self._settings.autopilot.seed},
             notes=notes,
         )
-        trial_id = self._recorder.start_trial(header)
-        self._recorder.record("settings", self._settings.public())
-        self._recorder.record("state", self._state())
+        beginning = {"settings": self._settings.public(), "state": self._state()}
+        trial_id = self._recorder.start_trial(header, beginning)
+        self._condition = condition
         self._film.begin(self._root / trial_id)
         self._marks.restart()
         self.live.begin()

@@ -36,8 +36,9 @@ def replay(
     settings = load_settings(settings_file, os.environ) if settings_file is not None else None
     result = replay_trial(trial, settings, calibration_file)
     fields = result.fields()
-    if video:
-        fields["video"] = asdict(replay_film(trial))
+    film = replay_film(trial) if video else None
+    if film is not None:
+        fields["video"] = asdict(film)
     if json_output:
         typer.echo(orjson.dumps(fields).decode())
     else:
@@ -49,7 +50,7 @@ def replay(
             console.print(f"[bold red]first difference:[/] {escape(str(result.difference))}")
         for reason in result.changed:
             console.print(f"changed since: {escape(reason)}")
-        if video:
-            console.print(f"film: {escape(str(fields['video']))}")
+        if film is not None:
+            console.print(f"film: {escape(str(film))}")
     if not result.exact:
         raise typer.Exit(1)

@@ -247,26 +247,32 @@ def _status(log: Path) -> Status:
 
 def _last_line(log: Path) -> LogLine | None:
     """Return the last whole message; None if there is none but the header."""
+    end = _whole_lines_bytes(log)
+    start = _line_start(log, max(0, end - 1))
     with log.open("rb") as file:
-        file.seek(max(0, _whole_lines_bytes(log) - _TAIL_BYTES))
-        lines = [line for line in file if line.endswith(b"\n")]
+        file.seek(start)
+        line = file.read(end - start)
     try:
-        return _log_line(lines[-1])
-    except (IndexError, KeyError, orjson.JSONDecodeError):
+        return _log_line(line)
+    except (KeyError, orjson.JSONDecodeError):
         return None
 
 
 def _whole_lines_bytes(log: Path) -> int:
     """Return the length of the file up to its last newline."""
-    size = log.stat().st_size
+    return _line_start(log, log.stat().st_size)
+
+
+def _line_start(log: Path, end: int) -> int:
+    """Return where the line begins that goes on at a place, or begins there."""
     with log.open("rb") as file:
-        while size > 0:
-            start = max(0, size - _TAIL_BYTES)
+        while end > 0:
+            start = max(0, end - _TAIL_BYTES)
             file.seek(start)
-            newline = file.read(size - start).rfind(b"\n")
+            newline = file.read(end - start).rfind(b"\n")
             if newline >= 0:
                 return start + newline + 1
-            size = start
+            end = start
     return 0
 
 

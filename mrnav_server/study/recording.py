@@ -22,7 +22,8 @@ class Recording:
 
     Attributes:
         header: The log's first line.
-        settings: In force, without the tokens.
+        settings: In force, without the tokens; what was not known then is as it is by default.
+        told: The settings as they were recorded.
         calibration: In force.
         state: Image of the control loop at the beginning (loops/state_image.py).
         lines: All lines that follow.
@@ -30,6 +31,7 @@ class Recording:
 
     header: TrialHeader
     settings: Settings
+    told: Mapping[str, Any]
     calibration: Calibration
     state: Mapping[str, Any]
     lines: list[LogLine]
@@ -51,7 +53,9 @@ def read_recording(folder: Path) -> Recording:
     if "missing" in state:
         raise ConfigError(f"trial {folder.name} cannot be replayed: {state['missing']}")
     calibration: Calibration = restored(state["calibration"])
-    return Recording(read_header(log), _settings(settings), calibration, state["control"], lines[2:])
+    return Recording(
+        read_header(log), _settings(settings), settings, calibration, state["control"], lines[2:]
+    )
 
 
 def _settings(values: Mapping[str, Any]) -> Settings:

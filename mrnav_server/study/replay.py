@@ -82,7 +82,7 @@ def replay_trial(
     recording = read_recording(folder)
     header, then = recording.header, recording.calibration
     settings = settings or recording.settings
-    vessel = _vessel(header.vessel)
+    vessel = _vessel(recording.settings.rig.vessel)
     if isinstance(calibration, Path):
         calibration = calibration_of(read_calibration(calibration), vessel)
     changed = [
@@ -113,7 +113,9 @@ def _changed_settings(then: Settings, now: Settings) -> Iterator[str]:
 
 def _changed_files(recording: Recording, vessel: VesselMap) -> Iterator[str]:
     header, lines = recording.header, recording.lines
-    if recording.settings.digest() != header.configuration_sha256:
+    new = list(_new_settings(recording.told, recording.settings.public()))
+    yield from new
+    if not new and recording.settings.digest() != header.configuration_sha256:
         yield "the settings in the log are not those that its header names"
     if header.software_version != __version__:
         yield f"software: {header.software_version} → {__version__}"
@@ -124,6 +126,16 @@ def _changed_files(recording: Recording, vessel: VesselMap) -> Iterator[str]:
     lost = sum(line.data["lost_lines"] or 0 for line in lines if line.topic == CLOSED_TOPIC)
     if lost:
         yield f"{lost} lines were lost when the trial was recorded"
+
+
+def _new_settings(then: Mapping[str, Any], now: Mapping[str, Any], within: str = "") -> Iterator[str]:
+    """Name the settings that this version has and the recording's had not."""
+    for name, value in now.items():
+        field = f"{within}.{name}" if within else name
+        if name not in then:
+            yield f"setting {field}: not known then → {value}"
+        elif isinstance(value, Mapping) and isinstance(then[name], Mapping):
+            yield from _new_settings(then[name], value, field)
 
 
 def _policy_sha256(header: TrialHeader) -> str:
@@ -177,10 +189,11 @@ def _seated(
     return replayer
 
 
-def _policy(header: TrialHeader, vessel: VesselMap) -> Policy:
+def _policy(header: TrialHeader, vessel: VesselMap) -> Policy | None:
+    """Return the trial's policy; None if it had none that could be used."""
     from mrnav_server.autonomy.torchscript import load_policy
 
-    return load_policy(find_model(header.vessel), vessel)
+    return load_policy(find_model(header.vessel), vessel) if header.policy_sha256 else None
 
 
 def _sections(value: object) -> Iterator[object]:
@@ -199,9 +212,9 @@ def _inner(value: object) -> tuple[dataclasses.Field[Any], ...]:
 def _changed_result(folder: Path, vessel: VesselMap) -> Difference | None:
     """Compare the trial's metrics with those that were written when it ended."""
     file = folder / RESULT_NAME
-    record = read_trial_record(folder)
     if not file.is_file():
         return None
+    record = read_trial_record(folder)
     metrics = measured(record, record.clearance_um(vessel), vessel, route_graph(vessel))
     result = result_fields(record, metrics)
     then = orjson.loads(file.read_bytes())["metrics"]

@@ -40,6 +40,12 @@ class FilmReplay:
     rms_um: float | None
     max_um: float | None
 
+    def __str__(self) -> str:
+        found = f"robot found in {self.compared} of {self.frames} pictures, missed in {self.missed}"
+        if self.rms_um is None or self.max_um is None:
+            return found
+        return f"{found}; off by {self.rms_um:.1f} µm (root mean square), {self.max_um:.1f} µm at most"
+
 
 def replay_film(folder: Path) -> FilmReplay:
     """Track a trial's film and compare.

@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from mrnav_server.core.arrays import BoolArray, ByteArray, Float32Array
+from mrnav_server.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.core.frames import VesselPoint
 from mrnav_server.core.vessel import VesselMap
@@ -129,7 +129,7 @@ def _free_space(distance_px: Float32Array, radius_px: float, play_px: float) -> 
     roomy = largest_part(distance_px > radius_px + play_px)
     if not roomy.any():
         return roomy
-    away_px = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    away_px = _distance_px((~roomy).astype(np.uint8))
     # Corners of the free space lie farther from the roomy part than the play.
     return largest_part((distance_px > radius_px) & (away_px <= 2 * play_px))
 
@@ -144,7 +144,18 @@ def largest_part(marked: BoolArray) -> BoolArray:
 
 def _signed_distance_px(lumen: ByteArray) -> Float32Array:
     """Return the distance to the wall, positive inside; the picture's edge is a wall."""
-    padded = cv2.copyMakeBorder(lumen, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    inside = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    outside = cv2.distanceTransform(1 - padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return (inside - outside).astype(np.float32)
+    padded = cv2.copyMakeBorder(lumen, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0).astype(np.uint8)
+    signed = _distance_px(padded) - _distance_px(1 - padded)
+    return signed[1:-1, 1:-1].astype(np.float32)
+
+
+def _distance_px(marked: ByteArray) -> FloatArray:
+    """Return each marked pixel's distance to the nearest one that is not, to the last bit the same each time.
+
+    The last digits of OpenCV's result change with threads and memory, and a replay would depart by them.
+    Between centres of pixels the squared distance is a whole number.
+    """
+    rough_px = cv2.distanceTransform(marked, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    distance_px = np.square(rough_px, dtype=np.float64)
+    np.rint(distance_px, out=distance_px)
+    return np.sqrt(distance_px, out=distance_px)

@@ -2,9 +2,13 @@
 
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
+from mrnav_server.loops.trial_log import LOG_NAME, read_log
+from mrnav_server.study.replay import replay_trial
+from tests.led_study import LedStudy
 from tests.rig_process import RigProcess
 
 CEILING_S = 1.0
@@ -70,3 +74,17 @@ def test_stop_is_one_request_from_anyone_and_latches(rig_process: RigProcess) ->
     assert "reset" in refused.json()["detail"]
     rig.ask("reset")
     rig.until(lambda s: s["mode"] == "DISARMED", "DISARMED", CEILING_S)
+
+
+def test_a_study_goes_on_after_its_server_was_killed_in_a_trial(tmp_path: Path) -> None:
+    study = LedStudy(tmp_path)
+    first, second = study.kill("drive", 1.0), study.kill("begin", 0.2)
+    assert first.trial is not None
+    lines = list(read_log(first.trial / LOG_NAME))
+    # The promise is 0.25 s; the rest is for a test machine that schedules threads late.
+    assert first.at_s - lines[-2].t_s < 0.25 + CEILING_S
+    assert (lines[-1].topic, study.status(first.trial)) == ("closed", "interrupted")
+    assert (second.step, second.again) == (first.step, True)
+    assert not first.again
+    replay = replay_trial(first.trial)
+    assert replay.exact, str(replay.difference)

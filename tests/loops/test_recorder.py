@@ -106,6 +106,35 @@ async def test_the_file_is_json_lines_with_the_header_first(tmp_path: Path) -> N
     assert set(json.loads(line)) == {"seq", "t_mono_ns", "t_wall", "topic", "data"}
 
 
+async def test_the_beginning_is_on_disk_before_the_trial_has_a_name(tmp_path: Path) -> None:
+    trial = recorder(tmp_path, flush_s=1.0)
+    beginning: dict[str, dict[str, object]] = {
+        "settings": {"hand": {"gain": 0.04}},
+        "state": {"control": [1.5]},
+    }
+    log = tmp_path / trial.start_trial(HEADER, beginning) / LOG_NAME
+    trial.record("track", {"n": 1})
+    assert read_header(log) == HEADER
+    first = [(line.seq, line.t_s, line.topic, line.data) for line in read_log(log)]
+    assert first == [(1, 100.0, "settings", beginning["settings"]), (2, 100.0, "state", beginning["state"])]
+    await trial.end_trial()
+    assert [line.seq for line in read_log(log)] == [1, 2, 3, 4]
+    assert [path.name for path in log.parent.iterdir()] == [LOG_NAME]
+
+
+async def test_a_message_that_is_no_json_costs_that_message_alone(tmp_path: Path) -> None:
+    trial = recorder(tmp_path)
+    log = tmp_path / trial.start_trial(HEADER) / LOG_NAME
+    trial.record("track", {"n": 1})
+    trial.record("track", {"n": object()})
+    await asyncio.to_thread(_poll, lambda: log.stat().st_size > len(log.read_bytes().splitlines()[0]) + 1)
+    trial.record("track", {"n": 3})
+    await trial.end_trial()
+    one, three, closed = read_log(log)
+    assert (one.data, three.data) == ({"n": 1}, {"n": 3})
+    assert closed.data == {"status": "ended", "lost_lines": 1}
+
+
 async def test_nothing_is_recorded_outside_a_trial(tmp_path: Path) -> None:
     trial = recorder(tmp_path / "trials")
     trial.record("track", {})
@@ -177,6 +206,17 @@ async def test_a_partial_last_line_is_ignored_and_later_cut_off(tmp_path: Path) 
     assert [line.seq for line in read_log(log)] == [1, 2, 3]
     assert read_trial(tmp_path, trial_id).status == "interrupted"
     assert recorder(tmp_path).recover() == []
+
+
+async def test_a_crash_after_a_very_long_line_is_marked_too(tmp_path: Path) -> None:
+    crashed = recorder(tmp_path)
+    trial_id = crashed.start_trial(HEADER)
+    crashed.record("path", {"points_px": [[0.5, 0.25]] * 20_000})
+    await crashed.end_trial()
+    log = tmp_path / trial_id / LOG_NAME
+    log.write_bytes(log.read_bytes()[:-20])
+    assert recorder(tmp_path).recover() == [trial_id]
+    assert [(line.seq, line.topic) for line in read_log(log)] == [(1, "path"), (2, "closed")]
 
 
 async def test_a_damaged_line_is_named(tmp_path: Path) -> None:

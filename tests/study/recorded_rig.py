@@ -68,10 +68,8 @@ class RecordedRig(LockStep):
             area_px=(area.center.x_px, area.center.y_px) if area else None,
             area_epsilon_um=area.epsilon_um if area else None,
         )
-        self.recorder.start_trial(header)
-        self.recorder.record("settings", settings.public())
         state = {"calibration": state_image(self.calibration), "control": state_image(self.control)}
-        self.recorder.record("state", state)
+        self.recorder.start_trial(header, {"settings": settings.public(), "state": state})
         self.marks.restart()
         self.herald.announce("trial", {"mark": "start"})
 

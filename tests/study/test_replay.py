@@ -221,6 +221,15 @@ def test_a_log_that_was_cut_off_is_replayed_to_where_it_ends(rig: RecordedRig) -
         assert replay.counts["commands"] > 5
 
 
+def test_a_log_that_ends_before_the_first_picture_is_replayed(rig: RecordedRig) -> None:
+    rig.camera_alive = False
+    rig.begin()
+    rig.advance(0.05)
+    replay = replay_trial(rig.end())
+    assert replay.exact
+    assert replay.counts["steps"] >= 5
+
+
 @pytest.mark.parametrize(
     ("topic", "field"), [("command", "setpoint_um"), ("mode", "reason"), ("command", "asked_um_per_s")]
 )
@@ -262,6 +271,21 @@ def test_another_setting_is_named_as_the_reason(rig: RecordedRig) -> None:
     assert replay.difference is not None
     assert "AUTO → HOLD" in str(replay.difference.replayed)
     assert replay.changed == ("setting guards.track_age_s: 0.1 → 0.09",)
+
+
+def test_a_setting_that_was_not_known_then_is_named(rig: RecordedRig) -> None:
+    drive(rig)
+    log = rig.end() / LOG_NAME
+    lines = [orjson.loads(line) for line in log.read_bytes().splitlines()]
+    del lines[1]["data"]["handover"]["sharing"]["wall_um"], lines[1]["data"]["tip_watch"]
+    log.write_bytes(b"".join(orjson.dumps(line) + b"\n" for line in lines))
+    replay = replay_trial(log.parent)
+    assert replay.exact
+    named = [reason.partition(" → ")[0] for reason in replay.changed]
+    assert sorted(named) == [
+        "setting handover.sharing.wall_um: not known then",
+        "setting tip_watch: not known then",
+    ]
 
 
 def test_a_setting_that_decides_nothing_changes_nothing(rig: RecordedRig) -> None:
