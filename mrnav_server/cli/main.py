@@ -13,6 +13,7 @@ from mrnav_server.cli.demo import demo
 from mrnav_server.cli.doctor import doctor
 from mrnav_server.cli.emulate import emulate
 from mrnav_server.cli.evaluate import evaluate
+from mrnav_server.cli.export import export
 from mrnav_server.cli.figure import curves, discount, trajectories
 from mrnav_server.cli.map import models
 from mrnav_server.cli.measure import measure
@@ -33,7 +34,14 @@ from mrnav_server.cli.track import track
 from mrnav_server.cli.train import train
 from mrnav_server.core.errors import ConfigError, MrnavError
 
-_EXTRAS = {"gymnasium": "train", "matplotlib": "study", "skimage": "vessels", "cryptography": "tls"}
+_EXTRAS = {
+    "gymnasium": "train",
+    "matplotlib": "study",
+    "pyarrow": "export",
+    "mcap": "export",
+    "skimage": "vessels",
+    "cryptography": "tls",
+}
 """Packages that only some commands need, and the extra that brings them."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
@@ -41,6 +49,7 @@ for command in (serve, stop, demo, operator, doctor, train, sweep, evaluate, rep
     app.command()(command)
 # What follows a benchmark's name are its own options.
 app.command(context_settings={"ignore_unknown_options": True})(bench)
+app.command()(export)
 app.command()(metrics)
 app.command()(replay)
 app.command()(tls)

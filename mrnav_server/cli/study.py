@@ -2,11 +2,12 @@
 
 import typer
 
+from mrnav_server.cli.export import export, study_import
 from mrnav_server.cli.study_plan import new, status, tell
 from mrnav_server.cli.study_report import study_report
 from mrnav_server.cli.study_simulate import simulate
 
-studies = typer.Typer(no_args_is_help=True, help="User studies: plan, run, simulate, report.")
+studies = typer.Typer(no_args_is_help=True, help="User studies: plan, run, simulate, report, export.")
 
 
 @studies.callback()
@@ -15,5 +16,7 @@ def _group() -> None:
 
 
 studies.command("report")(study_report)
+studies.command("export")(export)
+studies.command("import")(study_import)
 for command in (new, status, tell, simulate):
     studies.command()(command)
