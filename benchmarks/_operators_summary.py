@@ -26,7 +26,7 @@ _SCALE = {"handover_peak_jerk_mm_per_s3": 1e-3}
 def value_of(result: dict[str, Any], name: str) -> float:
     """Return one metric of a trial; NaN where its motion does not define it."""
     part, key, _ = METRICS[name]
-    value = result[part][key]
+    value = (result[part] or {}).get(key)
     if isinstance(value, dict):
         value = value["value"]
     return float("nan") if value is None else float(value) * _SCALE.get(name, 1.0)

@@ -18,7 +18,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -27,12 +26,10 @@ from mrnav_server.cli.real_trial import run_as_processes
 from mrnav_server.cli.simulated_trial import SimulatedTrial
 from mrnav_server.cli.virtual_trial import run_in_this_process
 from mrnav_server.core.errors import MrnavError
-from mrnav_server.core.handover_metrics import handover_metrics
-from mrnav_server.core.metrics import trial_motions
 from mrnav_server.core.vessel import VesselMap
-from mrnav_server.loops.trial_log import LOG_NAME, read_log
 from mrnav_server.sim.operator import Condition
-from mrnav_server.study.trial_record import TrialRecord, read_trial_record
+from mrnav_server.study.trial_handover import trial_handover
+from mrnav_server.study.trial_record import read_trial_record
 from mrnav_server.vision.model_store import find_model, model_names
 from mrnav_server.vision.vessel_model import load_vessel_model
 
@@ -116,37 +113,8 @@ def _judged(ended: dict[str, Any], vessel: VesselMap) -> dict[str, Any]:
 
 def figures(folder: Path, vessel: VesselMap) -> dict[str, Any]:
     """Return what the trial's log says of the hand-over; without one, of the way into the critical area."""
-    record = read_trial_record(folder)
-    sent_s, sent_um, clutch, handed_s = [], [], [], math.nan
-    for line in read_log(folder / LOG_NAME):
-        if line.topic == "command":
-            sent_s.append(line.data["sent_s"])
-            sent_um.append(line.data["target_um"])
-        elif line.topic == "hand":
-            clutch.append((line.data["received_s"], line.data["clutch"]))
-        elif line.topic == "mode" and (line.data["before"], line.data["mode"]) == ("AUTO", "MANUAL"):
-            handed_s = line.t_s
-    switch_s = _entered_s(record, vessel) if math.isnan(handed_s) else handed_s
-    grips_s = [t_s for t_s, closed in clutch if closed and t_s >= handed_s]
-    motions = trial_motions(record.t_s, record.vessel_px * vessel.um_per_px, record.go_s, record.end_s)
-    found = handover_metrics(
-        motions,
-        switch_s,
-        np.array(sent_s),
-        np.array(sent_um),
-        grip_s=grips_s[0] if grips_s else math.nan,
-        end_s=record.end_s,
-    )
-    return {"handover": _finite(asdict(found))}
-
-
-def _entered_s(record: TrialRecord, vessel: VesselMap) -> float:
-    header = record.header
-    if header.area_px is None or header.area_epsilon_um is None:
-        return math.nan
-    away_um = np.hypot(*(record.vessel_px - np.array(header.area_px)).T) * vessel.um_per_px
-    inside = np.flatnonzero((away_um <= header.area_epsilon_um) & record.inside)
-    return float(record.t_s[inside[0]]) if inside.size else math.nan
+    found = trial_handover(folder, read_trial_record(folder), vessel)
+    return {"handover": _finite(asdict(found)) if found else None}
 
 
 def _finite(values: dict[str, Any]) -> dict[str, Any]:

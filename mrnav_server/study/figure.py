@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure, FigureBase
 
-from mrnav_server.study.style import WIDTH_IN, watermark
+from mrnav_server.study.style import COLUMN_IN, WIDTH_IN, watermark
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,8 @@ class ReportFigure:
         title: In a few words.
         caption: What is drawn, complete in itself.
         height_in: At the width of two columns.
-        draw: Draws it.
+        column_in: Its height at the width of one column.
+        draw: Draws it; told whether it has one column alone.
         mark: Written across it; "" for nothing.
     """
 
@@ -25,17 +26,19 @@ class ReportFigure:
     title: str
     caption: str
     height_in: float
-    draw: Callable[[FigureBase], None]
+    column_in: float
+    draw: Callable[[FigureBase, bool], None]
     mark: str
 
-    def onto(self, figure: FigureBase) -> None:
+    def onto(self, figure: FigureBase, narrow: bool = False) -> None:
         """Draw it, with its watermark."""
-        self.draw(figure)
+        self.draw(figure, narrow)
         if self.mark:
             watermark(figure, self.mark)
 
-    def alone(self) -> Figure:
-        """Return it on a page of its own."""
-        figure = Figure(figsize=(WIDTH_IN, self.height_in), layout="constrained")
-        self.onto(figure)
+    def alone(self, narrow: bool = False) -> Figure:
+        """Return it on a page of its own, as wide as two columns or as one."""
+        size_in = (COLUMN_IN, self.column_in) if narrow else (WIDTH_IN, self.height_in)
+        figure = Figure(figsize=size_in, layout="constrained")
+        self.onto(figure, narrow)
         return figure

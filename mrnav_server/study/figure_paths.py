@@ -1,18 +1,20 @@
 """Mean trajectories over each vessel, with their spread perpendicular to the path."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from mrnav_server.core.arrays import FloatArray
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.loops.trial_log import Condition
 from mrnav_server.study.mean_trajectory import MeanTrajectory, mean_trajectory
 from mrnav_server.study.study_data import Study, StudyTrial
-from mrnav_server.study.style import GRAY, GREEN, LOOKS, Look
+from mrnav_server.study.style import GRAY, GREEN, LOOKS, letter
 
 _LUMEN, _WALL = "#EDEFF1", "#9AA3AB"
 _COARSE = 6
@@ -40,56 +42,94 @@ def outside_share(mean: MeanTrajectory, vessel: VesselMap) -> float:
     return float((~vessel.lumen[row, column]).mean())
 
 
-def draw_paths(figure: FigureBase, study: Study) -> None:
-    """Draw a row of two panels for each task: without and with autonomy."""
+def draw_paths(figure: FigureBase, narrow: bool, *, study: Study) -> None:
+    """Draw a row for each task: its mean without and with autonomy, and the spread along the way.
+
+    Args:
+        figure: Where.
+        narrow: Whether it is as wide as one column alone, which has no room for the spread.
+        study: The study.
+    """
     names = tasks(study)
-    panels = figure.subplots(len(names), len(LOOKS), squeeze=False)
-    for row, task in zip(panels, names, strict=True):
-        for axes, (condition, look) in zip(row, LOOKS.items(), strict=True):
-            _panel(axes, study, task, condition, look)
-        row[0].set_ylabel(f"{task}\ny / mm")
-    for axes, look in zip(panels[0], LOOKS.values(), strict=True):
-        name = look.label if "autonomy" in look.label else f"{look.label} autonomy"
-        axes.set_title(f"{name}\n{axes.get_title()}")
-    for axes in panels[-1]:
-        axes.set_xlabel("x / mm")
+    widths = [1.0, 1.0] if narrow else [1.0, 1.0, 0.72]
+    panels = figure.subplots(len(names), len(widths), squeeze=False, width_ratios=widths)
+    for n, (row, task) in enumerate(zip(panels, names, strict=True)):
+        means = {condition: task_mean(study, task, condition) for condition in LOOKS}
+        letters = [letter(n * len(widths) + place) for place in range(len(widths))]
+        for axes, mark, condition in zip(row, letters, LOOKS, strict=False):
+            _map(axes, mark, study, task, condition, means[condition], narrow)
+        row[0].set_ylabel(f"{task}\ny (mm)")
+        if not narrow:
+            _spread(row[2], letters[2], means)
+    for axes in panels[-1, :2]:
+        axes.set_xlabel("x (mm)")
+    if not narrow:
+        panels[-1, 2].set_xlabel("share of the way (%)")
     figure.align_ylabels(panels[:, 0])
     legend = [
         *(
             Line2D([], [], color=look.color, linestyle=look.line, label=f"mean, {look.label}")
             for look in LOOKS.values()
         ),
-        Patch(color=GRAY, alpha=0.3, linewidth=0, label="± 1 SD perpendicular to it"),
+        Patch(
+            color=GRAY, alpha=0.35, linewidth=0, label="± 1 SD" if narrow else "± 1 SD perpendicular to it"
+        ),
         Line2D([], [], color=GRAY, linewidth=0.4, label="an operator's mean"),
-        Line2D([], [], marker="o", color="black", linestyle="", ms=4, label="start"),
+        Line2D([], [], marker="o", color="black", linestyle="", ms=3, label="start"),
         Line2D([], [], marker="o", color=GREEN, mfc="none", linestyle="", ms=7, label="critical area"),
     ]
-    figure.legend(handles=legend, loc="outside lower center", ncols=3)
+    figure.legend(handles=legend, loc="outside lower center", ncols=2 if narrow else 3)
 
 
-def _panel(axes: Axes, study: Study, task: str, condition: Condition, look: Look) -> None:
-    some = _trials(study, task)[0]
+def _map(
+    axes: Axes,
+    mark: str,
+    study: Study,
+    task: str,
+    condition: Condition,
+    mean: MeanTrajectory | None,
+    narrow: bool,
+) -> None:
+    some, look = _trials(study, task)[0], LOOKS[condition]
     vessel = study.vessels[some.header.vessel]
     _lumen(axes, vessel)
-    mean = task_mean(study, task, condition)
+    name = look.label.removesuffix(" autonomy")
     if mean is None:
-        axes.set_title("no trial reached the target")
+        axes.set_title(f"{mark} {name}\nno trial reached the target")
     else:
-        for each_um in mean.each_um / 1000.0:
-            axes.plot(*each_um.T, color=GRAY, linewidth=0.4, zorder=2)
+        for each_mm in mean.each_um / 1000.0:
+            axes.plot(*each_mm.T, color=GRAY, linewidth=0.3, zorder=2)
         if mean.operators > 1:
             left_um, right_um = mean.band_um()
             edge_mm = np.concatenate([left_um, right_um[::-1]]) / 1000.0
-            axes.add_patch(Polygon(edge_mm, color=look.color, alpha=0.3, linewidth=0, zorder=3))
-        axes.plot(*mean.xy_um.T / 1000.0, color=look.color, linestyle=look.line, linewidth=1.2, zorder=4)
-        axes.plot(*mean.xy_um[0] / 1000.0, "o", color="black", ms=4, zorder=5)
-        spread = "" if mean.operators < 2 else f", SD {np.median(mean.sd_um):.0f} µm in the median"
-        title = f"{mean.operators} operators, {mean.paths} trials{spread}"
+            axes.add_patch(Polygon(edge_mm, color=look.color, alpha=0.35, linewidth=0, zorder=3))
+        axes.plot(*mean.xy_um.T / 1000.0, color=look.color, linestyle=look.line, linewidth=0.7, zorder=4)
+        axes.plot(*mean.xy_um[0] / 1000.0, "o", color="black", ms=3, zorder=5)
+        counted = f"$n$ = {mean.operators}, {mean.paths} trials"
+        title = f"{mark} {name}\n{counted}" if narrow else f"{mark} {name}, {counted}"
         if outside_share(mean, vessel) > 0.02:
             title += "\ndifferent ways: this mean is no way"
         axes.set_title(title)
     _area(axes, some)
     axes.set_aspect("equal")
+
+
+def _spread(axes: Axes, mark: str, means: Mapping[Condition, MeanTrajectory | None]) -> None:
+    """Draw the standard deviation along the way: on the map it is thinner than a line."""
+    medians_um = []
+    for condition, look in LOOKS.items():
+        mean = means[condition]
+        if mean is not None and mean.operators > 1:
+            share = np.linspace(0.0, 100.0, len(mean.sd_um))
+            axes.plot(share, mean.sd_um, color=look.color, linestyle=look.line)
+            medians_um.append(f"{np.median(mean.sd_um):.0f}")
+        else:
+            medians_um.append("–")
+    axes.set_title(f"{mark} median spread\nwithout {medians_um[0]}, with {medians_um[1]} µm")
+    axes.set_ylabel("SD (µm)")
+    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.set_xlim(0.0, 100.0)
+    axes.set_ylim(bottom=0.0)
 
 
 def _lumen(axes: Axes, vessel: VesselMap) -> None:

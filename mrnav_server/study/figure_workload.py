@@ -1,5 +1,7 @@
 """NASA-TLX as a chart: weighted and raw workload, and the six scales."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import FigureBase
 from matplotlib.lines import Line2D
@@ -7,12 +9,12 @@ from matplotlib.lines import Line2D
 from mrnav_server.study import published
 from mrnav_server.study.measures import WORKLOAD
 from mrnav_server.study.report_tables import Analyses
-from mrnav_server.study.style import LOOKS
+from mrnav_server.study.style import LOOKS, published_mean
 
 _WIDTH = 0.36
 
 
-def draw_workload(figure: FigureBase, analyses: Analyses) -> None:
+def draw_workload(figure: FigureBase, narrow: bool, *, analyses: Analyses) -> None:
     """Draw a group of two bars for each score."""
     axes = figure.subplots()
     for side, (condition, look) in enumerate(LOOKS.items()):
@@ -29,15 +31,17 @@ def draw_workload(figure: FigureBase, analyses: Analyses) -> None:
             known = published.TLX.get(measure.symbol)
             if known is not None:
                 axes.plot(place, known[condition], "D", color="black", mfc="white", ms=4.5, zorder=4)
-    axes.set_xticks(range(len(WORKLOAD)), [measure.title for measure in WORKLOAD])
+    turned: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if narrow else {}
+    axes.set_xticks(range(len(WORKLOAD)), [measure.title for measure in WORKLOAD], **turned)
     axes.set_xlim(-0.6, len(WORKLOAD) - 0.4)
-    axes.set_ylim(0.0, 104.0)
-    axes.set_ylabel("score ↓, 0 to 100")
+    axes.set_ylim(-4.0, 104.0)
+    axes.axhline(0.0, color="black", linewidth=0.6)
+    axes.set_ylabel("score ↓ (0 to 100)")
     legend = [
         *(
             Line2D([], [], marker=look.marker, color=look.color, linestyle="", ms=4, label=look.label)
             for look in LOOKS.values()
         ),
-        Line2D([], [], marker="D", color="black", mfc="white", linestyle="", ms=4.5, label="published mean"),
+        published_mean(),
     ]
     figure.legend(handles=legend, loc="outside lower center", ncols=len(legend))

@@ -40,7 +40,12 @@ class Measure:
     @property
     def label(self) -> str:
         """Symbol, arrow and unit."""
-        return f"{self.symbol} {self.arrow}" + (f" / {self.unit}" if self.unit else "")
+        return f"{self.symbol} {self.arrow}" + (f" ({self.unit})" if self.unit else "")
+
+    @property
+    def axis(self) -> str:
+        """Symbol and unit, beside an axis."""
+        return f"{self.symbol} ({self.unit})" if self.unit else self.symbol
 
     def samples(self, study: Study) -> Samples:
         """Return the study's values."""
@@ -55,9 +60,7 @@ def _handed(of: Callable[[HandoverMetrics], float]) -> Callable[[StudyTrial], fl
 FIVE = (
     Measure("Va", "average speed", "µm/s", "higher", 0, lambda t: t.metrics.average_speed_um_per_s),
     Measure("TOC", "time of completion", "s", "lower", 2, lambda t: t.metrics.completion_s),
-    Measure(
-        "G", "geometric straightness", "log10 of 1/µm", "lower", 2, lambda t: t.metrics.straightness.value
-    ),
+    Measure("G", "geometric straightness", "log₁₀ µm⁻¹", "lower", 2, lambda t: t.metrics.straightness.value),
     Measure("S", "smoothness", "", "lower", 2, lambda t: t.metrics.smoothness.value),
     Measure("C", "wall contacts", "count", "lower", 2, lambda t: float(t.metrics.contacts)),
 )

@@ -7,11 +7,12 @@ from importlib.metadata import PackageNotFoundError, version
 
 from mrnav_server.core.metric_flags import FLAGS
 from mrnav_server.study.measures import FIVE, FURTHER, HANDOVER
-from mrnav_server.study.report_table import Table, number, text
+from mrnav_server.study.report_table import Cell, Table, number, text
 from mrnav_server.study.study_data import Study, StudyTrial
 
 _PACKAGES = ("mrnav-server", "numpy", "scipy", "matplotlib")
 _MOST_SHOWN = 6
+_FILE_ONLY = ("operators", "log sha256", "configuration sha256")
 NO_HANDOVER = "no_handover"
 
 
@@ -36,7 +37,8 @@ def trials_table(study: Study) -> Table:
                 text(trial.header.condition.removesuffix("_autonomy")),
                 *(number(each.of(trial), 0 if each.symbol == "C" else each.decimals) for each in FIVE),
                 number(100.0 * trial.metrics.seen_share, 0),
-                text(", ".join(flags)),
+                Cell(", ".join(flags) or "–", ", ".join(flags)),
+                text(trial.header.operator_kind),
                 text(trial.log_sha256),
                 text(trial.header.configuration_sha256),
             )
@@ -51,14 +53,13 @@ def trials_table(study: Study) -> Table:
             "task",
             "autonomy",
             *(each.label for each in FIVE),
-            "seen / %",
+            "seen (%)",
             "flags",
-            "log sha256",
-            "configuration sha256",
+            *_FILE_ONLY,
         ),
         tuple(rows),
         tuple(f"{flag}: {words[flag]}." for flag in words if flag in raised) or ("No trial raised a flag.",),
-        ("log sha256", "configuration sha256"),
+        _FILE_ONLY,
     )
 
 
@@ -78,11 +79,12 @@ def values_table(study: Study) -> Table:
             number(each.of(trial), each.decimals),
             text(trial.task),
             text(trial.id),
+            text(study.operator_kind),
         )
         for each in (*FIVE, *FURTHER, *HANDOVER)
         for trial in study.trials
     )
-    header = ("participant", "condition", "metric", "value", "task", "trial")
+    header = ("participant", "condition", "metric", "value", "task", "trial", "operators")
     return Table("values", "Every value", header, rows)
 
 
@@ -92,6 +94,7 @@ def environment_table(study: Study) -> Table:
     rows = [
         ("operators", study.origin),
         ("trials", f"{len(study.trials)}, of {len(study.operators)} {study.people}"),
+        ("recorded", _dates(study)),
         *_each("recorded by version", (header.software_version for header in headers)),
         *_each("configuration sha256", (header.configuration_sha256 for header in headers)),
         *_each("policy sha256", (header.policy_sha256 or "none" for header in headers)),
@@ -109,6 +112,12 @@ def environment_table(study: Study) -> Table:
         tuple((text(what), text(value)) for what, value in rows),
         ("Each trial's own log and configuration hashes are in trials.csv.",),
     )
+
+
+def _dates(study: Study) -> str:
+    """Return the days of the first and of the last trial, which their ids begin with."""
+    days = sorted({f"{trial.id[:4]}-{trial.id[4:6]}-{trial.id[6:8]}" for trial in study.trials})
+    return days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
 
 
 def _each(what: str, values: Iterable[str]) -> list[tuple[str, str]]:

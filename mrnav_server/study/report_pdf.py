@@ -1,16 +1,18 @@
 """A report as PDF: its sections one after the other on A4 pages, figures as vectors."""
 
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure, FigureBase
 
 from mrnav_server.study.figure import ReportFigure
-from mrnav_server.study.pdf_table import TableBlock, table_blocks
-from mrnav_server.study.report_content import Report, Section
+from mrnav_server.study.pdf_table import table_blocks
+from mrnav_server.study.report_content import Report
+from mrnav_server.study.report_table import Table
 from mrnav_server.study.style import GRAY, VERMILION, WIDTH_IN
 
 _PAGE_IN = (8.27, 11.69)
@@ -36,24 +38,29 @@ class Block:
     draw: Callable[[FigureBase], None]
 
 
+Item = Callable[[float], list[Block]]
+"""Gives its blocks, told how much of the page is left in inches."""
+
+
 def write_pdf(report: Report, path: Path) -> None:
     """Write a report."""
-    pages = list(_pages(list(_blocks(report))))
+    pages = list(_pages(_items(report)))
     metadata = {"Title": report.title, "Subject": report.origin, "CreationDate": None}
     with PdfPages(path, metadata=metadata) as file:
         for number, blocks in enumerate(pages, start=1):
             file.savefig(_page(report, blocks, f"{number} / {len(pages)}"))
 
 
-def _pages(blocks: list[Block]) -> Iterator[list[Block]]:
+def _pages(items: Iterable[Item]) -> Iterator[list[Block]]:
     page: list[Block] = []
     left_in = _ROOM_IN
-    for block in blocks:
-        if page and block.height_in > left_in:
-            yield page
-            page, left_in = [], _ROOM_IN
-        page.append(block)
-        left_in -= block.height_in + _GAP_IN
+    for item in items:
+        for block in item(left_in):
+            if page and block.height_in > left_in:
+                yield page
+                page, left_in = [], _ROOM_IN
+            page.append(block)
+            left_in -= block.height_in + _GAP_IN
     if page:
         yield page
 
@@ -62,7 +69,7 @@ def _page(report: Report, blocks: list[Block], number: str) -> Figure:
     page = Figure(figsize=_PAGE_IN, layout="constrained")
     layout = page.get_layout_engine()
     assert layout is not None
-    layout.set(w_pad=0.02, h_pad=0.02, wspace=0.0, hspace=0.0)  # type: ignore[call-arg]
+    layout.set(w_pad=0.04, h_pad=0.04, wspace=0.0, hspace=0.0)  # type: ignore[call-arg]
     heights_in = [_TOP_IN]
     for block in blocks:
         heights_in += [block.height_in, _GAP_IN]
@@ -89,28 +96,33 @@ def _page(report: Report, blocks: list[Block], number: str) -> Figure:
     return page
 
 
-def _blocks(report: Report) -> Iterator[Block]:
-    yield Block(0.45, _line(report.title, 16.0))
-    figures = {each.name: number for number, each in enumerate(report.figures, start=1)}
+def _items(report: Report) -> Iterator[Item]:
+    yield _whole([Block(0.45, _line(report.title, 16.0))])
     for section in report.sections:
-        if section.items:
-            yield from _section(section, figures)
+        # Its heading and words stay with what follows.
+        ahead = [Block(_HEADING_IN, _line(section.heading, 12.0))]
+        if section.words:
+            ahead.append(_words(section.words))
+        if not section.items:
+            yield _whole(ahead)
+        for item in section.items:
+            number = report.number(item)
+            if isinstance(item, ReportFigure):
+                yield _whole([*ahead, _figure(item, number)])
+            else:
+                yield partial(_table, ahead, item, number)
+            ahead = []
 
 
-def _section(section: Section, figures: dict[str, int]) -> Iterator[Block]:
-    """Give a section's blocks; its heading and words stay with what follows."""
-    ahead = [Block(_HEADING_IN, _line(section.heading, 12.0))]
-    if section.words:
-        ahead.append(_words(section.words))
-    for item in section.items:
-        parts = (
-            [_figure(item, figures[item.name])]
-            if isinstance(item, ReportFigure)
-            else _table(table_blocks(item))
-        )
-        yield _together([*ahead, parts[0]])
-        yield from parts[1:]
-        ahead = []
+def _whole(blocks: list[Block]) -> Item:
+    return lambda _: [_together(blocks)]
+
+
+def _table(ahead: list[Block], table: Table, number: int, room_in: float) -> list[Block]:
+    ahead_in = sum(block.height_in for block in ahead)
+    parts = table_blocks(table, number, room_in - ahead_in, _ROOM_IN - ahead_in)
+    first, *others = (Block(part.height_in, part.draw) for part in parts)
+    return [_together([*ahead, first]), *others]
 
 
 def _together(blocks: list[Block]) -> Block:
@@ -129,10 +141,6 @@ def _together(blocks: list[Block]) -> Block:
 def _figure(figure: ReportFigure, number: int) -> Block:
     caption = _words(f"Figure {number}. {figure.caption}")
     return _together([Block(figure.height_in, figure.onto), caption])
-
-
-def _table(blocks: list[TableBlock]) -> list[Block]:
-    return [Block(block.height_in, block.draw) for block in blocks]
 
 
 def _line(text: str, size: float) -> Callable[[FigureBase], None]:

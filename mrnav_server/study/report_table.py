@@ -4,27 +4,15 @@ import csv
 import html
 import io
 import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    **{each: "\\" + each for each in "&%$#_{}"},
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "−": "$-$",
-    "±": r"$\pm$",
-    "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$",
-    "µ": r"\textmu{}",
-    "³": r"\textsuperscript{3}",
-    "–": "--",
-    "·": r"$\cdot$",
-    "…": r"\ldots{}",
-    "Δ": r"$\Delta$",
-    "α": r"$\alpha$",
-    "σ": r"$\sigma$",
-    **{each: rf"\textsuperscript{{{plain}}}" for each, plain in zip("⁰¹²⁴⁵⁶⁷⁸⁹⁻", "012456789-", strict=True)},
-}
+DIGIT_SPACE, POINT_SPACE = "\u2007", "\u2008"
+"""As wide as a digit and as the decimal point."""
+_GROUP = ": "
+_NUMBER = re.compile(r"−?\d+(\.\d+)?|–")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -48,7 +36,7 @@ class Table:
     Attributes:
         name: Of its files.
         title: Above it.
-        header: One name a column.
+        header: One name a column, no two the same. Neighbours named ``group: name`` stand under one heading.
         rows: Cells, as many as there are names.
         notes: Below it.
         file_only: Names of columns that the CSV alone holds.
@@ -66,8 +54,33 @@ class Table:
         """Numbers of the columns that are read."""
         return tuple(n for n, name in enumerate(self.header) if name not in self.file_only)
 
-    def to_the_right(self, column: int) -> bool:
-        """Whether a column holds numbers."""
+    @property
+    def names(self) -> list[str]:
+        """What stands above each shown column."""
+        return [self.header[n].rpartition(_GROUP)[2] for n in self.shown]
+
+    @property
+    def groups(self) -> list[tuple[str, int]]:
+        """Headings above the names, "" for none, each with how many shown columns it stands over."""
+        titles = [self.header[n].rpartition(_GROUP)[0] for n in self.shown]
+        found = []
+        for title, same in groupby(titles):
+            count = len(list(same))
+            found += [(title, count)] if title else [("", 1)] * count
+        return found
+
+    @property
+    def texts(self) -> list[list[str]]:
+        """The shown cells, row by row; the decimal points of a column stand one below the other."""
+        columns = [_aligned([row[n].text for row in self.rows]) for n in self.shown]
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    @property
+    def rights(self) -> list[bool]:
+        """Whether each shown column holds numbers, which are set to the right."""
+        return [self._holds_numbers(n) for n in self.shown]
+
+    def _holds_numbers(self, column: int) -> bool:
         cells = [row[column] for row in self.rows]
         return any(isinstance(cell.value, float) for cell in cells) and not any(
             isinstance(cell.value, str) for cell in cells
@@ -81,39 +94,22 @@ class Table:
         writer.writerows(["" if cell.value is None else cell.value for cell in row] for row in self.rows)
         return file.getvalue()
 
-    def latex(self) -> str:
-        """Return the table for LaTeX with the package booktabs; pure ASCII."""
-        shown = self.shown
-        lines = [
-            r"\begin{table}",
-            rf"\caption{{{_latex(self.title)}}}",
-            rf"\begin{{tabular}}{{{''.join('r' if self.to_the_right(n) else 'l' for n in shown)}}}",
-            r"\toprule",
-            " & ".join(_latex(self.header[n]) for n in shown) + r" \\",
-            r"\midrule",
-            *(" & ".join(_latex(row[n].text) for n in shown) + r" \\" for row in self.rows),
-            r"\bottomrule",
-            r"\end{tabular}",
-            *(rf"\par\footnotesize {_latex(note)}" for note in self.notes),
-            r"\end{table}",
-        ]
-        return "\n".join(lines) + "\n"
-
-    def html(self) -> str:
-        """Return the table as HTML."""
-        shown = self.shown
-        side = ["right" if self.to_the_right(n) else "left" for n in range(len(self.header))]
-        head = "".join(f'<th class="{side[n]}">{html.escape(self.header[n])}</th>' for n in shown)
-        body = "\n".join(
-            "<tr>"
-            + "".join(f'<td class="{side[n]}">{html.escape(row[n].text)}</td>' for n in shown)
-            + "</tr>"
-            for row in self.rows
-        )
+    def html(self, number: int) -> str:
+        """Return the table as HTML, numbered."""
+        side = ["right" if right else "left" for right in self.rights]
+        above = ""
+        if any(title for title, _ in self.groups):
+            cells = (
+                f'<th class="group" colspan="{count}">{html.escape(title)}</th>' if title else "<th></th>"
+                for title, count in self.groups
+            )
+            above = f"<tr>{''.join(cells)}</tr>"
+        head = _html_row("th", self.names, side)
+        body = "\n".join(_html_row("td", row, side) for row in self.texts)
         notes = "".join(f"<p class='note'>{html.escape(note)}</p>" for note in self.notes)
         return (
-            f'<section class="table"><h3>{html.escape(self.title)}</h3>'
-            f'<div class="wide"><table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>'
+            f'<section class="table"><h3>Table {number}. {html.escape(self.title)}</h3>'
+            f'<div class="wide"><table><thead>{above}{head}</thead>\n<tbody>{body}</tbody></table></div>'
             f"{notes}</section>"
         )
 
@@ -144,5 +140,20 @@ def p_value(p: float) -> Cell:
     return Cell(f"{mantissa}·10{str(int(power)).translate(_RAISED)}", float(p))
 
 
-def _latex(words: str) -> str:
-    return "".join(_LATEX.get(each, each) for each in words).encode("ascii", "replace").decode()
+def _aligned(texts: Sequence[str]) -> list[str]:
+    """Return numbers followed by as much space as brings their points below one another."""
+    if not all(map(_NUMBER.fullmatch, texts)):
+        return list(texts)
+    decimals = [len(each.partition(".")[2]) for each in texts]
+    most = max(decimals, default=0)
+    return [
+        each + (POINT_SPACE if most and not own else "") + DIGIT_SPACE * (most - own)
+        for each, own in zip(texts, decimals, strict=True)
+    ]
+
+
+def _html_row(tag: str, texts: Sequence[str], side: Sequence[str]) -> str:
+    cells = (
+        f'<{tag} class="{where}">{html.escape(each)}</{tag}>' for each, where in zip(texts, side, strict=True)
+    )
+    return f"<tr>{''.join(cells)}</tr>"

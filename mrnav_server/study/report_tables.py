@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from mrnav_server.core.arrays import FloatArray
 from mrnav_server.loops.trial_log import Condition
@@ -9,8 +10,9 @@ from mrnav_server.study import published
 from mrnav_server.study.measures import Measure
 from mrnav_server.study.report_table import Cell, Table, number, p_value, text
 from mrnav_server.study.statistics import Analysis
-from mrnav_server.study.statistics_normality import Normality, shapiro
+from mrnav_server.study.statistics_normality import shapiro
 from mrnav_server.study.statistics_pooled import POOLING
+from mrnav_server.study.statistics_samples import Pairs
 from mrnav_server.study.study_data import Study
 
 WITH: Condition = "with_autonomy"
@@ -18,52 +20,42 @@ WITHOUT: Condition = "without_autonomy"
 ARROWS = "↑ higher is better, ↓ lower is better. Lower G is straighter; a lower S is smoother (less jerk)."
 _DIFFERENCE = "Differences are with minus without autonomy."
 
+_MEANS = (
+    "without autonomy: mean",
+    "without autonomy: SD",
+    "with autonomy: mean",
+    "with autonomy: SD",
+    "difference",
+    "better",
+)
+_UNKNOWN: Mapping[Condition, float] = {WITH: math.nan, WITHOUT: math.nan}
+
 Analyses = Mapping[str, Analysis]
 """By a measure's symbol; the first condition is with autonomy."""
 
 
-def comparison(study: Study, measures: Sequence[Measure], analyses: Analyses) -> Table:
+def comparison(
+    name: str, title: str, measures: Sequence[Measure], analyses: Analyses, people: str, note: str
+) -> Table:
     """Return this study's means beside the published ones."""
     rows = []
     for each in measures:
-        paired = analyses[each.symbol].paired
-        pairs = analyses[each.symbol].samples.pairs()
-        sign = 1.0 if each.better == "higher" else -1.0
-        better = int((sign * pairs.differences > 0).sum())
-        known = published.METRICS[each.symbol]
+        known = {**published.METRICS, **published.TLX}.get(each.symbol, _UNKNOWN)
+        published_cells = (known[WITHOUT], known[WITH], known[WITH] - known[WITHOUT])
         rows.append(
             (
                 text(each.label),
-                number(paired.second_mean, each.decimals),
-                number(_sd(pairs.second), each.decimals),
-                number(paired.first_mean, each.decimals),
-                number(_sd(pairs.first), each.decimals),
-                number(paired.mean_difference, each.decimals),
-                Cell(f"{better} of {paired.participants}", float(better)),
-                number(known[WITHOUT], each.decimals),
-                number(known[WITH], each.decimals),
-                number(known[WITH] - known[WITHOUT], each.decimals),
+                *_means(each, analyses[each.symbol].samples.pairs()),
+                *(number(value, each.decimals) for value in published_cells),
             )
         )
     return Table(
-        "comparison",
-        "The five metrics, beside the published ones",
-        (
-            "metric",
-            "without: mean",
-            "SD",
-            "with: mean",
-            "SD",
-            "difference",
-            "better with",
-            "published without",
-            "with",
-            "difference",
-        ),
+        name,
+        title,
+        ("metric", *_MEANS, *(f"published: {each}" for each in ("without", "with", "difference"))),
         tuple(rows),
         (
-            f"Means and standard deviations (SD) over {len(study.operators)} {study.people}, each the mean of"
-            f" their trials. {_DIFFERENCE} {ARROWS}",
+            f"{_own_means(people)} {note}",
             "Published: five participants on hardware (arXiv:2503.06359); other vessels, other people.",
         ),
     )
@@ -104,22 +96,22 @@ def paired_table(
         (
             "metric",
             "n",
-            "difference",
-            "CI low",
-            "CI high",
+            "difference: mean",
+            "difference: CI low",
+            "difference: CI high",
             "test",
             "p",
             "p Holm",
-            "d_z",
-            "low",
-            "high",
+            "effect size: d_z",
+            "effect size: CI low",
+            "effect size: CI high",
             "r_rb",
             "p sign-flip",
             "least p",
         ),
         tuple(rows),
         (
-            f"One mean per operator and condition, n of the {people} have both. {_DIFFERENCE} CI: 95 %"
+            f"One mean per operator and condition; n {people} have both. {_DIFFERENCE} CI: 95 %"
             " confidence interval. d_z: mean over SD of the differences, with its interval; r_rb: matched"
             " rank-biserial correlation. Least p: the smallest that a test by rank or sign can reach."
             f" {note}",
@@ -153,15 +145,15 @@ def pooled_table(measures: Sequence[Measure], analyses: Analyses) -> Table:
         "As published: unpaired tests on pooled trials",
         (
             "metric",
-            "trials without",
-            "with",
-            "mean without",
-            "with",
+            "trials: without",
+            "trials: with",
+            "mean: without",
+            "mean: with",
             "test",
             "p",
             "p Holm",
-            "published test",
-            "p",
+            "published: test",
+            "published: p",
         ),
         tuple(rows),
         (f"To be compared with the published table, not to be cited as evidence: {POOLING}. {ARROWS}",),
@@ -170,7 +162,7 @@ def pooled_table(measures: Sequence[Measure], analyses: Analyses) -> Table:
 
 def normality_table(measures: Sequence[Measure], analyses: Analyses) -> Table:
     """Return Shapiro–Wilk of the trials in either condition and of the operators' differences."""
-    rows = []
+    rows, notes = [], []
     for each in measures:
         analysis = analyses[each.symbol]
         known = published.SHAPIRO_P[each.symbol]
@@ -179,51 +171,64 @@ def normality_table(measures: Sequence[Measure], analyses: Analyses) -> Table:
             ("trials with", analysis.pooled.first_normality, known[WITH]),
             ("operators' differences", shapiro(analysis.samples.pairs().differences), math.nan),
         )
-        rows += [_normality_row(each, *entry) for entry in tested]
+        for of, found, known_p in tested:
+            rows.append((text(each.symbol), text(of), number(found.w, 3), p_value(found.p), p_value(known_p)))
+            if found.note:
+                notes.append(f"{each.symbol}, {of}: {found.note}.")
     return Table(
         "normality",
-        "Shapiro–Wilk",
-        ("metric", "of", "W", "p", "published p", "note"),
+        "Shapiro–Wilk test of normality",
+        ("metric", "of", "W", "p", "published p"),
         tuple(rows),
-        ("A p of at least 0.05 lets values pass as normal. It says little about few values.",),
-    )
-
-
-def _normality_row(measure: Measure, of: str, found: Normality, known_p: float) -> tuple[Cell, ...]:
-    return (
-        text(measure.symbol),
-        text(of),
-        number(found.w, 3),
-        p_value(found.p),
-        p_value(known_p),
-        text(found.note),
+        ("A p of at least 0.05 lets values pass as normal. It says little about few values.", *notes),
     )
 
 
 def means_table(
-    name: str, title: str, study: Study, measures: Sequence[Measure], analyses: Analyses, note: str
+    name: str, title: str, measures: Sequence[Measure], studies: Mapping[str, Study], people: str
 ) -> Table:
-    """Return means and spreads of measures that nothing published stands beside."""
-    rows = []
-    for each in measures:
-        pooled = analyses[each.symbol].pooled
-        rows.append(
-            (
-                text(f"{each.title} {each.arrow}"),
-                text(each.unit),
-                number(pooled.second_mean, each.decimals),
-                number(pooled.second_sd, each.decimals),
-                number(pooled.first_mean, each.decimals),
-                number(pooled.first_sd, each.decimals),
-            )
-        )
-    return Table(
-        name,
-        title,
-        ("measure", "unit", "without: mean", "SD", "with: mean", "SD"),
-        tuple(rows),
-        (f"Over the trials of {len(study.operators)} {study.people}. {note}",),
+    """Return means and spreads of measures that nothing published stands beside.
+
+    Args:
+        name: Of the table's files.
+        title: Above it.
+        measures: One row each.
+        studies: By task, "" for all of them together.
+        people: What the operators are called.
+    """
+    rows = tuple(
+        (text(task), text(each.title), text(each.label), *_means(each, each.samples(study).pairs()))
+        for task, study in studies.items()
+        for each in measures
     )
+    notes = (f"{_own_means(people)} Not tested. ↑ higher is better, ↓ lower is better.",)
+    table = Table(name, title, ("task", "measure", "symbol", *_MEANS), rows, notes)
+    if list(studies) != [""]:
+        return table
+    return replace(table, header=table.header[1:], rows=tuple(row[1:] for row in rows))
+
+
+def _means(measure: Measure, pairs: Pairs) -> tuple[Cell, ...]:
+    """Return the cells of the columns ``_MEANS``."""
+    sign = 1.0 if measure.better == "higher" else -1.0
+    better, count = int((sign * pairs.differences > 0).sum()), len(pairs.participants)
+    values = (_mean(pairs.second), _sd(pairs.second), _mean(pairs.first), _sd(pairs.first))
+    return (
+        *(number(value, measure.decimals) for value in (*values, _mean(pairs.differences))),
+        Cell(f"{better} of {count}", float(better)) if count else number(math.nan, 0),
+    )
+
+
+def _own_means(people: str) -> str:
+    return (
+        f"Means and standard deviations (SD) over the {people} who have both conditions; each counts with the"
+        " mean of its trials. Better: for how many of them autonomy moved the metric the right way; an equal"
+        f" value does not count. {_DIFFERENCE}"
+    )
+
+
+def _mean(values: FloatArray) -> float:
+    return float(values.mean()) if values.size else math.nan
 
 
 def _sd(values: FloatArray) -> float:

@@ -4,7 +4,6 @@ from bisect import bisect_right
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import orjson
 
@@ -13,11 +12,10 @@ from mrnav_server.core.contacts import contact_starts
 from mrnav_server.core.metrics import trial_motions
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.study.trial_record import TrialRecord
+from mrnav_server.vision.vessel_outline import walls_px
 
 TRAJECTORY_NAME = "trajectory.json"
 SCHEMA_VERSION = 1
-_WALL_PX = 0.7
-"""So far may a wall be off its mask."""
 
 
 def write_trajectory(
@@ -67,12 +65,3 @@ def write_trajectory(
     }
     (folder / TRAJECTORY_NAME).write_bytes(orjson.dumps(fields) + b"\n")
     return fields
-
-
-def walls_px(vessel: VesselMap) -> list[list[list[int]]]:
-    """Return the lumen's outlines as closed lines in the vessel's grid."""
-    lines, _ = cv2.findContours(vessel.lumen.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    walls: list[list[list[int]]] = [
-        cv2.approxPolyDP(line, _WALL_PX, closed=True)[:, 0].tolist() for line in lines
-    ]
-    return [wall for wall in walls if len(wall) > 2]

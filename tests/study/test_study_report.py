@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from mrnav_server.cli.main import app
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.study import published
+from mrnav_server.study.latex_table import latex_table
 from mrnav_server.study.pdf_table import table_blocks
 from mrnav_server.study.report_content import report
 from mrnav_server.study.report_table import Cell, Table, number, p_value, text
@@ -65,13 +66,19 @@ def test_the_command_writes_the_report(
     files = [Path(name) for name in found["files"]]
     names = {path.name for path in files}
     figures = ("five-metrics", "pairs", "handover", "trajectories")
-    assert {f"{name}.{kind}" for name in figures for kind in ("svg", "png")} <= names
+    widths = ("", "-column")
+    assert {
+        f"{name}{width}.{kind}" for name in figures for width in widths for kind in ("svg", "png")
+    } <= names
+    # Text stays text, which a journal can edit.
+    assert "average" in (tmp_path / "out" / "figures" / "five-metrics.svg").read_text()
     tables = ("comparison", "paired", "pooled", "normality", "handover", "further", "trials", "environment")
     assert {f"{name}.{kind}" for name in tables for kind in ("csv", "tex")} <= names
     assert all(path.stat().st_size > 0 for path in files)
     for path in (tmp_path / "out" / "tables").glob("*.tex"):
         assert path.read_text().isascii()
         assert "?" not in path.read_text()
+        assert "(simulated operators on a simulated rig: no evidence about people)" in path.read_text()
 
 
 def test_a_folder_that_cannot_be_is_named(
@@ -125,12 +132,20 @@ def test_people_on_hardware_are_participants_and_not_marked(human: Study) -> Non
 def test_workload_is_reported_for_people_alone(human: Study, simulated: Study) -> None:
     table = next(each for each in report(human).tables if each.name == "workload")
     assert "workload" in {figure.name for figure in report(human).figures}
+    beside = next(each for each in report(human).tables if each.name == "tlx")
+    weighted = next(csv.DictReader(beside.csv().splitlines()))
+    assert (weighted["published: without"], weighted["published: with"]) == ("48.4", "14.0")
     rows = list(csv.DictReader(table.csv().splitlines()))
     assert [row["metric"].split()[0] for row in rows][:2] == ["weighted", "raw"]
     # Mark minus 0, 5 .. 25, in both conditions alike: the difference is that of the marks.
     raw = next(row for row in rows if row["metric"].startswith("raw"))
-    assert float(raw["difference"]) == pytest.approx(-40.0 + 3 * 0.0, abs=1.3)
+    assert float(raw["difference: mean"]) == pytest.approx(-40.0 + 3 * 0.0, abs=1.3)
     assert "workload" not in {table.name for table in report(simulated).tables}
+    said = {section.heading: section.words for section in report(simulated).sections}
+    assert "simulated operators answer no questionnaire" in said["Workload"]
+    silent = replace(human, trials=tuple(replace(trial, answers=None) for trial in human.trials))
+    said = {section.heading: section.words for section in report(silent).sections}
+    assert "/tlx" in said["Workload"]
     # Answers that somehow lie in a simulated operator's folder are not reported either.
     forged = [replace(t, answers=human.trials[0].answers) for t in simulated.trials]
     assert "workload" not in {t.name for t in report(replace(simulated, trials=tuple(forged))).tables}
@@ -139,7 +154,7 @@ def test_workload_is_reported_for_people_alone(human: Study, simulated: Study) -
 def test_the_published_figures_stand_beside(simulated: Study) -> None:
     tables = {table.name: table for table in report(simulated).tables}
     rows = [[cell.text for cell in row] for row in tables["comparison"].rows]
-    assert rows[0][0] == "Va ↑ / µm/s"
+    assert rows[0][0] == "Va ↑ (µm/s)"
     assert rows[0][-3:] == ["1687", "2401", "714"]
     assert rows[1][-3:] == ["17.17", "11.38", "−5.79"]
     assert rows[0][6] == "3 of 3"
@@ -174,29 +189,46 @@ def test_cells() -> None:
 TABLE = Table(
     "t",
     "50 % & more",
-    ("who_is", "p", "hidden"),
-    ((text("a<b>"), p_value(3e-10), text("x")), (text("µm"), p_value(0.5), text("y"))),
+    ("who_is", "group: p", "group: x", "hidden"),
+    (
+        (text("a<b>"), p_value(3e-10), number(1000.0, 0), text("y")),
+        (text("µm"), p_value(0.5), number(-0.25, 2), text("z")),
+    ),
     ("note_1",),
     ("hidden",),
 )
 
 
 def test_a_table_as_csv_latex_and_html() -> None:
-    assert TABLE.csv().splitlines() == ["who_is,p,hidden", "a<b>,3e-10,x", "µm,0.5,y"]
-    latex = TABLE.latex()
-    assert r"\caption{50 \% \& more}" in latex
-    assert r"\begin{tabular}{lr}" in latex
-    assert r"a<b> & 3$\cdot$10\textsuperscript{-}\textsuperscript{1}\textsuperscript{0} \\" in latex
-    assert r"\textmu{}m & 0.500 \\" in latex
-    page = TABLE.html()
+    assert TABLE.csv().splitlines() == [
+        "who_is,group: p,group: x,hidden",
+        "a<b>,3e-10,1000.0,y",
+        "µm,0.5,-0.25,z",
+    ]
+    latex = latex_table(TABLE, "simulated")
+    assert r"\caption{50 \% \& more (simulated).}\label{tab:t}" in latex
+    assert r"\begin{tabular}{lrr}" in latex
+    assert r" & \multicolumn{2}{c}{group} \\" in latex
+    assert r"\cmidrule(lr){2-3}" in latex
+    # The decimal points of a column stand one below the other.
+    aligned = r"1000\phantom{.}\phantom{0}\phantom{0}"
+    assert rf"a\textless{{}}b\textgreater{{}} & 3$\cdot$10$^{{-10}}$ & {aligned} \\" in latex
+    assert r"$\mu$m & 0.500 & $-$0.25 \\" in latex
+    page = TABLE.html(3)
+    assert "Table 3. 50 % &amp; more" in page
     assert "a&lt;b&gt;" in page
+    assert '<th class="group" colspan="2">group</th>' in page
     assert "hidden" not in page
 
 
 def test_a_long_table_goes_on_on_the_next_page() -> None:
-    rows = tuple((text(f"row {n}"), p_value(0.5), text("")) for n in range(120))
-    blocks = table_blocks(replace(TABLE, rows=rows))
+    rows = tuple((text(f"row {n}"), p_value(0.5), number(1.0, 0), text("")) for n in range(120))
+    long = replace(TABLE, rows=rows)
+    assert r"\begin{longtable}{lrr}" in latex_table(long, "simulated")
+    blocks = table_blocks(long, 7, room_in=4.0, page_in=10.0)
     assert len(blocks) == 3
+    assert blocks[0].height_in <= 4.0
+    assert max(block.height_in for block in blocks) <= 10.0
     shown: list[str] = []
     for block in blocks:
         page = Figure(figsize=(7.2, block.height_in))
@@ -205,5 +237,19 @@ def test_a_long_table_goes_on_on_the_next_page() -> None:
         assert all(0.0 <= each.get_position()[0] <= 1.0 for each in page.texts)
         assert all(0.0 <= each.get_position()[1] <= 1.0 for each in page.texts)
     assert [each for each in shown if each.startswith("row ")] == [f"row {n}" for n in range(120)]
-    assert shown.count("50 % & more, continued") == 2
+    assert shown.count("Table 7. 50 % & more, continued") == 2
     assert shown.count("note_1") == 1
+
+
+def test_each_task_is_reported_by_itself(simulated: Study) -> None:
+    assert "by-task" not in {table.name for table in report(simulated).tables}
+    # The last operator's pair went elsewhere.
+    apart = [
+        replace(trial, task="elsewhere" if trial.header.participant == "SIM03" else trial.task)
+        for trial in simulated.trials
+    ]
+    tables = {table.name: table for table in report(replace(simulated, trials=tuple(apart))).tables}
+    rows = list(csv.DictReader(tables["by-task"].csv().splitlines()))
+    assert [row["task"] for row in rows] == ["bend"] * 5 + ["elsewhere"] * 5
+    own = [t.metrics.average_speed_um_per_s for t in apart if t.task == "elsewhere"]
+    assert sorted([float(rows[5][f"{how} autonomy: mean"]) for how in ("with", "without")]) == sorted(own)

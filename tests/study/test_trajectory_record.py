@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mrnav_server.study.trajectory_record import walls_px
 from mrnav_server.study.trial_report import write_trial_report
+from mrnav_server.vision.vessel_outline import walls_px
 from tests.recorded_trials import GO_S, HANDOVER_S, REACHED_S, RecordedTrial, shipped_vessel, way_px
 
 
