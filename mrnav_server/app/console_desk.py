@@ -30,6 +30,7 @@ class ConsoleDesk:
         herald: Told of leases and stops.
         step: Steps the control loop now.
         publish: Shows clients the new state at once.
+        trial_refusal: Says why the running trial leaves no AUTO; "" if it does.
         clock: Monotonic time in seconds.
     """
 
@@ -44,6 +45,7 @@ class ConsoleDesk:
         herald: Herald,
         step: Callable[[], None],
         publish: Callable[[], None],
+        trial_refusal: Callable[[], str],
         clock: Callable[[], float],
     ) -> None:
         self._control = control
@@ -55,6 +57,7 @@ class ConsoleDesk:
         self._herald = herald
         self._step = step
         self._publish = publish
+        self._trial_refusal = trial_refusal
         self._clock = clock
         lease.on_silent = lambda client: self._announce_lease(f"{client} fell silent: its seat is free")
 
@@ -163,6 +166,9 @@ class ConsoleDesk:
         Raises:
             RefusedError: If a guard of AUTO fails, or somebody acted meanwhile: whoever did wins.
         """
+        refusal = self._trial_refusal()
+        if refusal:
+            raise RefusedError("without_autonomy", refusal)
         active = self._control.scene.area
         if area_id is not None:
             self._control.choose_area(self._areas.get(area_id))

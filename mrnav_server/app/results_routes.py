@@ -24,7 +24,8 @@ _RESULT, _TRAJECTORY = "result.json", "trajectory.json"
 @router.get("/results")
 async def results(parts: Context) -> Response:
     """Return every trial with its result and workload scores, newest first; null where there is none."""
-    found = await asyncio.to_thread(_results, _root(parts.rig))
+    counted = parts.study.results() if parts.study is not None else None
+    found = await asyncio.to_thread(_results, _root(parts.rig), counted)
     return _json({"flags": FLAGS, "trials": found})
 
 
@@ -56,8 +57,11 @@ async def trajectory(parts: Context, trial_id: str) -> Response:
     return await asyncio.to_thread(_file, _root(parts.rig), trial_id, _TRAJECTORY)
 
 
-def _results(root: Path) -> list[dict[str, Any]]:
-    return [_summary(root, info) for info in reversed(list_trials(root))]
+def _results(root: Path, counted: frozenset[str] | None) -> list[dict[str, Any]]:
+    return [
+        _summary(root, info) | {"in_study": None if counted is None else info.id in counted}
+        for info in reversed(list_trials(root))
+    ]
 
 
 def _summary(root: Path, info: TrialInfo) -> dict[str, Any]:

@@ -1,93 +1,14 @@
 """Leads the experimenter through a study: training period, trial, questionnaire, next."""
 
 import asyncio
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, Literal, Protocol
+from collections.abc import Callable
+from typing import Any
 
 from mrnav_server.app.rig_port import Trials
+from mrnav_server.app.study_progress import LedStudy, StudyStep, own_steps, participants, step_fields
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.loops.tlx_record import read_tlx
-from mrnav_server.loops.trial_log import Condition, read_trial, trial_folder
-
-
-class StudyStep(Protocol):
-    """One thing to do, as the plan has it."""
-
-    @property
-    def id(self) -> str:
-        """Its name."""
-
-    @property
-    def code(self) -> str:
-        """Who does it."""
-
-    @property
-    def kind(self) -> Literal["training", "trial", "questionnaire"]:
-        """What it is."""
-
-    @property
-    def block(self) -> int:
-        """First or second condition."""
-
-    @property
-    def condition(self) -> Condition:
-        """With or without autonomy."""
-
-    @property
-    def model(self) -> str:
-        """Vessel model."""
-
-    @property
-    def repetition(self) -> int | None:
-        """From 1, for a trial."""
-
-
-class StepProgress(Protocol):
-    """What became of a step."""
-
-    @property
-    def status(self) -> Literal["waiting", "started", "done", "interrupted"]:
-        """How far it is."""
-
-    @property
-    def trial(self) -> str | None:
-        """Its trial."""
-
-
-class LedStudy(Protocol):
-    """A plan and the record of what was done, on disk."""
-
-    @property
-    def trials(self) -> Path:
-        """Folder of the trials."""
-
-    @property
-    def steps(self) -> Sequence[StudyStep]:
-        """All of them, in order."""
-
-    @property
-    def training_s(self) -> float:
-        """Length of a training period in s."""
-
-    @property
-    def next_step(self) -> StudyStep | None:
-        """The first step that is not done."""
-
-    def progress(self, step: Any) -> StepProgress:  # noqa: ANN401 - a step of this very study
-        """Return what became of a step."""
-
-    def block_trial(self, step: Any) -> str | None:  # noqa: ANN401 - see above
-        """Return the trial that a questionnaire belongs to."""
-
-    def begin(self, step: Any, trial: str | None = None) -> None:  # noqa: ANN401 - see above
-        """Note that a step was begun."""
-
-    def finish(self, step: Any, trial: str | None = None) -> None:  # noqa: ANN401 - see above
-        """Note that a step is done."""
-
-    def interrupt(self, step: Any) -> None:  # noqa: ANN401 - see above
-        """Note that a step must be done again."""
+from mrnav_server.loops.trial_log import read_trial, trial_folder
 
 
 class StudyDesk:
@@ -97,36 +18,73 @@ class StudyDesk:
         study: Plan and record.
         vessel: The vessel model that this server runs with, as the settings name it.
         trials: Begins and ends trials.
+        has_target: Tells whether a critical area is marked.
         clock: Monotonic time in seconds.
     """
 
-    def __init__(self, study: LedStudy, vessel: str, trials: Trials, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        study: LedStudy,
+        vessel: str,
+        trials: Trials,
+        has_target: Callable[[], bool],
+        clock: Callable[[], float],
+    ) -> None:
         self._study = study
         self._vessel = vessel
         self._trials = trials
+        self._has_target = has_target
         self._clock = clock
         self._began_s = 0.0
         self._busy = asyncio.Lock()
 
-    def state(self) -> dict[str, Any]:
-        """Describe where the study stands and what the experimenter does next."""
+    async def state(self) -> dict[str, Any]:
+        """Describe where the study stands, what the experimenter does next, and what hinders it."""
         study, step = self._study, self._study.next_step
-        done = sum(study.progress(each).status == "done" for each in study.steps)
-        found: dict[str, Any] = {"steps": len(study.steps), "done": done, "step": None, "doing": False}
+        found: dict[str, Any] = {
+            "steps": len(study.steps),
+            "done": sum(study.progress(each).status == "done" for each in study.steps),
+            "participants": participants(study),
+            "own": own_steps(study, step),
+            "vessel": self._vessel,
+            "step": None,
+            "doing": False,
+            "refusal": "",
+        }
         if step is None:
-            return found | {"say": "All is done: mrnav study report writes the report."}
+            return found | {"say": "All is done. mrnav study report writes the report."}
         progress = study.progress(step)
         doing = progress.status == "started"
         found |= {
-            "step": _fields(step),
+            "step": step_fields(step),
             "doing": doing,
             "again": progress.status == "interrupted",
             "trial": study.block_trial(step) if step.kind == "questionnaire" else progress.trial,
             "say": self._doing(step) if doing else self._asking(step),
+            "refusal": "" if doing else self._refusal(step)[1],
         }
         if doing and step.kind == "training":
             found["left_s"] = max(0.0, round(study.training_s - (self._clock() - self._began_s), 1))
+        if step.kind == "questionnaire":
+            found["answered"] = await self._answered(step)
         return found
+
+    def results(self) -> frozenset[str]:
+        """Return the trials that are results; all others were interrupted, or still run."""
+        done = (self._study.progress(step) for step in self._study.steps if step.kind == "trial")
+        return frozenset(each.trial for each in done if each.status == "done" and each.trial is not None)
+
+    def require_own_trials(self) -> None:
+        """Refuse trials that the plan does not know: their participant or condition would be anybody's.
+
+        Raises:
+            RefusedError: Always.
+        """
+        step = self._study.next_step
+        due = f"{step.id} is due" if step is not None else "every step of the plan is done"
+        raise RefusedError(
+            "study_leads", f"this server leads a study ({due}): begin its trials as steps of the study"
+        )
 
     async def next(self) -> dict[str, Any]:
         """Begin the next step.
@@ -140,15 +98,16 @@ class StudyDesk:
                 raise RefusedError("study_done", "every step of the plan is done")
             if study.progress(step).status == "started":
                 raise RefusedError("step_running", f"{step.id} is under way: finish or interrupt it first")
-            if step.kind != "questionnaire" and step.model != self._vessel:
-                raise RefusedError("other_vessel", self._asking(step))
+            code, why = self._refusal(step)
+            if code:
+                raise RefusedError(code, why)
             trial: str | None = None
             if step.kind == "trial":
                 notes = f"study step {step.id}"
                 trial = self._trials.start(step.code, step.condition, "human", notes)["id"]
             self._began_s = self._clock()
             await asyncio.to_thread(study.begin, step, trial)
-            return self.state()
+            return await self.state()
 
     async def finish(self) -> dict[str, Any]:
         """End the step that is under way; its trial is a result.
@@ -164,7 +123,7 @@ class StudyDesk:
             await asyncio.to_thread(self._study.finish, step)
             if step.kind == "trial":
                 await self._end_trial(step)
-            return self.state()
+            return await self.state()
 
     async def interrupt(self) -> dict[str, Any]:
         """Give up the step that is under way; it is done again, and its trial is no result.
@@ -177,7 +136,7 @@ class StudyDesk:
             await asyncio.to_thread(self._study.interrupt, step)
             if step.kind == "trial":
                 await self._end_trial(step)
-            return self.state()
+            return await self.state()
 
     def _under_way(self) -> StudyStep:
         step = self._study.next_step
@@ -199,38 +158,41 @@ class StudyDesk:
             raise RefusedError(
                 "no_such_trial", f"no trial of {step.code} is there to ask about: interrupt it"
             )
-        if await asyncio.to_thread(read_tlx, trial_folder(self._study.trials, trial)) is None:
+        if not await self._answered(step):
             raise RefusedError("no_tlx", f"the questionnaire is not answered yet: /tlx?trial={trial}")
+
+    async def _answered(self, step: StudyStep) -> bool:
+        """Tell whether a questionnaire is answered."""
+        trial = self._study.block_trial(step)
+        if trial is None:
+            return False
+        return await asyncio.to_thread(read_tlx, trial_folder(self._study.trials, trial)) is not None
+
+    def _refusal(self, step: StudyStep) -> tuple[str, str]:
+        """Return why a step cannot begin yet, as a code and in plain words; twice "" if it can."""
+        if step.kind != "questionnaire" and step.model != self._vessel:
+            return "other_vessel", (
+                f"Vessel {self._vessel} is under the microscope, {step.model} is needed: change it, end this"
+                " server and start it again with the same --study. It takes up the study there."
+            )
+        if step.kind == "trial" and not self._has_target():
+            return "no_area", "Mark the critical area on the picture first: a trial needs a target."
+        return "", ""
 
     def _asking(self, step: StudyStep) -> str:
         """Return what the experimenter prepares."""
         if step.kind == "questionnaire":
             return f"Ask {step.code} to sit down for the questionnaire."
         if step.model != self._vessel:
-            return (
-                f"Put vessel {step.model} under the microscope, end this server and start it again with"
-                " the same --study: it takes up the study there."
-            )
+            return f"Put vessel {step.model} under the microscope."
         how = step.condition.replace("_", " ")
         if step.kind == "training":
             return f"Let {step.code} train {how} for {self._study.training_s / 60.0:g} min."
-        return f"Mark the critical area; then {step.code} does trial {step.repetition} {how}."
+        return f"{step.code} does trial {step.repetition} {how}."
 
     def _doing(self, step: StudyStep) -> str:
         if step.kind == "questionnaire":
-            return f"{step.code} answers the questionnaire; then finish."
+            return f"{step.code} answers the questionnaire."
         if step.kind == "training":
-            return f"{step.code} trains; then finish."
-        return f"{step.code} does the trial; finish it at the target, or interrupt it."
-
-
-def _fields(step: StudyStep) -> dict[str, Any]:
-    return {
-        "id": step.id,
-        "code": step.code,
-        "kind": step.kind,
-        "block": step.block,
-        "condition": step.condition,
-        "model": step.model,
-        "repetition": step.repetition,
-    }
+            return f"{step.code} trains {step.condition.replace('_', ' ')}."
+        return f"{step.code} does the trial. End it at the target, or give it up."

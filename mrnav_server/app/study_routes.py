@@ -14,7 +14,7 @@ router = APIRouter(prefix="/study", tags=["study"])
 @router.get("")
 async def study_state(parts: Context) -> dict[str, Any]:
     """Return where the study stands and what comes next; 404 on a server without one."""
-    return _desk(parts).state()
+    return await _desk(parts).state()
 
 
 @router.post("/next")

@@ -87,13 +87,16 @@ class Telemetry:
         """Return the latencies for JSON."""
         return {name: dataclasses.asdict(value) for name, value in self.latencies().items()}
 
-    def state(self, now_s: float, counters: dict[str, int], trial: str | None) -> RigState:
+    def state(
+        self, now_s: float, counters: dict[str, int], trial: str | None, trial_refusal: str = ""
+    ) -> RigState:
         """Describe the rig at this moment.
 
         Args:
             now_s: Now.
             counters: Counts by name.
             trial: Id of the running trial.
+            trial_refusal: Why that trial leaves no AUTO; "" if it does.
         """
         control, machine, facts = self._control, self._control.machine, self._control.facts
         track, tip, armed = control.scene.track, control.scene.tip, self._control.machine.mode in ARMED
@@ -116,8 +119,8 @@ class Telemetry:
             authority=control.authority(now_s),
             lease=self._lease.state(),
             clutch=self._hand.clutch,
-            auto_ready=armed and not facts.auto_refusal and not facts.fault,
-            auto_refusal=facts.fault or facts.auto_refusal or ("" if armed else "arm first"),
+            auto_ready=armed and not trial_refusal and not facts.auto_refusal and not facts.fault,
+            auto_refusal=facts.fault or trial_refusal or facts.auto_refusal or ("" if armed else "arm first"),
             time_to_handover_s=self._autopilot.handover_s,
             critical_area=control.scene.area.id if control.scene.area else None,
             distance_um=control.scene.distance_um,

@@ -20,7 +20,9 @@ async def list_trials(parts: Context) -> list[dict[str, Any]]:
 
 @router.post("", status_code=201)
 async def start_trial(parts: Context, body: TrialBody, _: Operator) -> dict[str, Any]:
-    """Begin a trial; 409 with the reason while another runs."""
+    """Begin a trial; 409 with the reason while another runs, or if a study leads."""
+    if parts.study is not None:
+        parts.study.require_own_trials()
     return parts.rig.trials.start(body.participant, body.condition, body.operator_kind, body.notes)
 
 

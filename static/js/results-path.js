@@ -4,12 +4,12 @@
  */
 
 import { COLORS, criticalArea, robotRing, scaleBar } from "./marks.js";
+import { drawVessel, drawWatermark } from "./vessel-drawing.js";
 
 /** @import { Trajectory } from "./results-types.js" */
 /** @import { Pair } from "./types.js" */
 
 const SCALE_BAR_UM = 2000;
-const LUMEN = "#2f363d";
 /** Colour and dash by who drove; the dash says it again. */
 const DRIVERS = /** @type {Record<string, {color: string, dash: number[]}>} */ ({
   AUTO: { color: COLORS.path, dash: [] },
@@ -58,8 +58,8 @@ export class PathView {
     const zoom = canvas.clientWidth / trajectory.size_px;
     /** @param {number} x @param {number} y @returns {Pair} */
     const place = (x, y) => [(x + 0.5) * zoom, (y + 0.5) * zoom];
-    this.#drawVessel(trajectory, place);
-    if (trajectory.simulated) this.#drawWatermark();
+    drawVessel(context, trajectory.walls_px, place);
+    if (trajectory.simulated) drawWatermark(context, canvas.clientWidth);
     if (trajectory.area_px && trajectory.area_epsilon_um !== null) {
       const radius = (trajectory.area_epsilon_um / trajectory.um_per_px) * zoom;
       criticalArea(context, place(...trajectory.area_px), radius, "", { chosen: true, active: false });
@@ -71,36 +71,6 @@ export class PathView {
     this.#drawPointed(trajectory, place);
     const bar = (SCALE_BAR_UM / trajectory.um_per_px) * zoom;
     scaleBar(context, bar, `${SCALE_BAR_UM / 1000} mm`, canvas.clientHeight);
-  }
-
-  /** @param {Trajectory} trajectory @param {(x: number, y: number) => Pair} place */
-  #drawVessel({ walls_px }, place) {
-    const context = this.#context;
-    context.beginPath();
-    for (const wall of walls_px) {
-      wall.forEach(([x, y], i) => (i === 0 ? context.moveTo(...place(x, y)) : context.lineTo(...place(x, y))));
-      context.closePath();
-    }
-    context.fillStyle = LUMEN;
-    context.fill("evenodd");
-    context.lineWidth = 1;
-    context.strokeStyle = COLORS.muted;
-    context.stroke();
-  }
-
-  #drawWatermark() {
-    const context = this.#context;
-    const size = this.#canvas.clientWidth;
-    context.save();
-    context.translate(size / 2, size / 2);
-    context.rotate(-Math.PI / 6);
-    context.font = `700 ${Math.round(size / 7)}px system-ui, sans-serif`;
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    context.globalAlpha = 0.13;
-    context.fillStyle = COLORS.text;
-    context.fillText("simulated", 0, 0);
-    context.restore();
   }
 
   /** @param {Trajectory} trajectory @param {(x: number, y: number) => Pair} place */

@@ -13,10 +13,15 @@ import { SpeedChart } from "./results-speed.js";
 
 export const CONDITIONS = { with_autonomy: "with autonomy", without_autonomy: "without autonomy" };
 
-/** Whose motion it is, in a sentence that nobody overlooks. @param {TrialSummary} trial */
+/** Whose motion it is, in a sentence that nobody overlooks. @param {Pick<TrialSummary, "operator_kind" | "simulated_rig">} trial */
 export function kindOf({ operator_kind, simulated_rig }) {
   if (operator_kind === "simulated") return "Simulated operator: no evidence about people";
   return simulated_rig ? "Person on a simulated rig: the robot's motion is simulated" : "Person on a real rig";
+}
+
+/** Whether a study goes on without it: its step was interrupted, and done again. @param {TrialSummary} trial */
+export function isGivenUp({ in_study, status }) {
+  return in_study === false && status !== "running";
 }
 
 export class TrialDetail {
@@ -29,6 +34,7 @@ export class TrialDetail {
   #drawings = byId("drawings", HTMLElement);
   #make = byId("make", HTMLButtonElement);
   #ask = byId("ask", HTMLAnchorElement);
+  #replay = byId("play-back", HTMLAnchorElement);
   #path = new PathView(byId("path", HTMLCanvasElement));
   #speed = new SpeedChart(byId("speed", HTMLElement), (at_s) => this.#path.pointAt(at_s));
   /** @type {string | null} */ #shown = null;
@@ -50,6 +56,8 @@ export class TrialDetail {
     this.#make.hidden = trial.status === "running" || trial.metrics !== null;
     this.#ask.hidden = trial.operator_kind !== "human" || trial.status === "running";
     this.#ask.href = `/tlx?trial=${encodeURIComponent(trial.id)}`;
+    this.#replay.hidden = trial.status === "running";
+    this.#replay.href = `/playback?trial=${encodeURIComponent(trial.id)}`;
     setText(this.#ask, trial.tlx ? "Questionnaire ✓" : "Questionnaire");
     this.showMetrics(trial, trial.metrics, meanings);
     this.#shown = trial.id;
@@ -108,8 +116,9 @@ export class TrialDetail {
 function about(trial) {
   const reached = trial.reached === null ? "ended" : trial.reached ? "target reached" : "target not reached";
   const end = { running: "runs", ended: reached, interrupted: "interrupted" };
+  const given = isGivenUp(trial) ? "given up: no result of the study" : "";
   const who = trial.operator_kind === "simulated" ? `simulated operator ${trial.participant}` : trial.participant;
-  return [who, CONDITIONS[trial.condition], trial.vessel, end[trial.status], trial.notes].filter(Boolean).join(" · ");
+  return [who, CONDITIONS[trial.condition], trial.vessel, end[trial.status], given, trial.notes].filter(Boolean).join(" · ");
 }
 
 /** @param {TrialSummary} trial @param {Metrics | null} metrics @param {number | null} elapsed_s */

@@ -40,6 +40,7 @@
  * @property {string} vessel
  * @property {string} notes
  * @property {boolean | null} reached
+ * @property {boolean | null} in_study Whether it is a result of the study that is led; null without one.
  * @property {Metrics | null} metrics Null without a result.
  * @property {{weighted: number, raw: number} | null} tlx
  */

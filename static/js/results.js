@@ -6,7 +6,7 @@
 import { ApiError, explain, request } from "./api.js";
 import { byId, make, setText } from "./dom.js";
 import { fixed } from "./format.js";
-import { CONDITIONS, TrialDetail } from "./results-trial.js";
+import { CONDITIONS, isGivenUp, TrialDetail } from "./results-trial.js";
 
 /** @import { Metrics, Results, TrialSummary } from "./results-types.js" */
 
@@ -66,7 +66,7 @@ function row(trial) {
     trial.participant,
     chip,
     ...rig,
-    make("small", {}, `${moment(trial.id)} · ${CONDITIONS[trial.condition]} · ${trial.vessel}`),
+    make("small", {}, [moment(trial.id), CONDITIONS[trial.condition], trial.vessel, ...(isGivenUp(trial) ? ["✕ no result"] : [])].join(" · ")),
   );
   const values = [
     fixed(metrics?.average_speed_um_per_s, 0),

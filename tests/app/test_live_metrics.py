@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from mrnav_server.app.rig import Rig
+from mrnav_server.core.errors import RefusedError
 from mrnav_server.settings import RecordingConfig, ServerConfig, Settings
 
 
@@ -22,7 +23,7 @@ def rig(tmp_path: Path) -> Rig:
     return Rig(settings, report=no_report)
 
 
-async def test_a_running_trial_has_metrics_and_no_other(rig: Rig) -> None:
+async def test_a_running_trial_has_metrics_and_its_condition_holds(rig: Rig) -> None:
     started = asyncio.Event()
     async with asyncio.timeout(60), asyncio.TaskGroup() as group:
         task = group.create_task(rig.run(started))
@@ -37,6 +38,12 @@ async def test_a_running_trial_has_metrics_and_no_other(rig: Rig) -> None:
         assert (live["id"], live["reached"]) == (trial, False)
         assert live["metrics"]["min_clearance_um"] > 0.0
         assert await rig.trials.live_metrics("another") is None
+        rig.console.take_lease("page", "a page")
+        with pytest.raises(RefusedError, match="runs without autonomy: steer by hand"):
+            await rig.console.ask("auto", "page", None)
+        state, _ = await rig.states.newer_than(0)
+        assert "without autonomy" in state.auto_refusal
         await rig.trials.end(trial)
+        assert rig.trials.auto_refusal == ""
         assert await rig.trials.live_metrics(trial) is None
         task.cancel()

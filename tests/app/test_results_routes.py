@@ -4,17 +4,20 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import httpx
+import numpy as np
 import pytest
 
 from mrnav_server.app import results_routes
 from mrnav_server.app.reporting import ReportError
 from mrnav_server.app.server import create_app
 from mrnav_server.core.tlx import KEYS, shown_pairs
+from mrnav_server.loops.video_recorder import VIDEO_NAME, VideoRecorder
 from mrnav_server.settings import Settings
 from mrnav_server.study.trial_report import write_trial_report
 from tests.app.fake_rig import OPERATOR_TOKEN, SERVER, VIEWER_TOKEN, FakeRig
-from tests.recorded_trials import RecordedTrial, shipped_vessel
+from tests.recorded_trials import GO_S, RecordedTrial, shipped_vessel
 
 OPERATOR, VIEWER = ({"Authorization": f"Bearer {token}"} for token in (OPERATOR_TOKEN, VIEWER_TOKEN))
 
@@ -69,6 +72,7 @@ async def test_the_list_tells_whose_trials_they_are(client: httpx.AsyncClient, r
     assert (person["operator_kind"], person["simulated_rig"]) == ("human", True)
     assert person["metrics"]["completion_s"] == pytest.approx(12.0)
     assert set(person["metrics"]["flags"]) <= set(found["flags"])
+    assert person["in_study"] is None
 
 
 async def test_a_result_is_live_while_the_trial_runs(
@@ -111,6 +115,27 @@ async def test_a_missing_report_is_made_on_demand(
     running = await client.post(f"/api/v1/trials/{trial(root, 3)}/result")
     assert (running.status_code, running.json()["code"]) == (409, "trial_running")
     assert len(asked) == 2
+
+
+async def test_a_trial_is_played_back_with_its_film(client: httpx.AsyncClient, root: Path) -> None:
+    path = f"/api/v1/trials/{trial(root, 1)}"
+    recorder = VideoRecorder(root / trial(root, 1) / VIDEO_NAME)
+    jpeg = cv2.imencode(".jpg", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+    recorder.add(GO_S + 0.5, jpeg)
+    recorder.finish()
+    told = (await client.get(f"{path}/playback", headers=VIEWER)).json()
+    assert (told["id"], told["status"], told["size_px"]) == (trial(root, 1), "ended", 1800)
+    assert told["walls_px"]
+    assert [each["mode"] for each in told["modes"]] == ["AUTO", "MANUAL"]
+    assert [each["kind"] for each in told["marks"]] == ["auto", "go", "reached"]
+    assert len({len(column) for column in told["frames"].values()}) == 1
+    assert told["film_s"] == [0.5]
+    picture = await client.get(f"{path}/film/0.jpg")
+    assert (picture.headers["content-type"], picture.content) == ("image/jpeg", jpeg)
+    for missing in (f"{path}/film/1.jpg", f"{path}/film/-1.jpg", "/api/v1/trials/none/playback"):
+        assert (await client.get(missing)).status_code in {404, 409, 422}
+    running = await client.get(f"/api/v1/trials/{trial(root, 3)}/playback")
+    assert (running.status_code, running.json()["code"]) == (409, "trial_running")
 
 
 async def test_a_questionnaire_is_asked_kept_and_corrected(client: httpx.AsyncClient, root: Path) -> None:

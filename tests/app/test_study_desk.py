@@ -80,13 +80,15 @@ def trials(study: StudyFolder) -> LoggedTrials:
     return LoggedTrials(study.trials)
 
 
-def desk_of(study: StudyFolder, trials: LoggedTrials, vessel: str = "bifurcation") -> StudyDesk:
-    return StudyDesk(study, vessel, trials, lambda: 5.0)
+def desk_of(
+    study: StudyFolder, trials: LoggedTrials, vessel: str = "bifurcation", *, target: bool = True
+) -> StudyDesk:
+    return StudyDesk(study, vessel, trials, lambda: target, lambda: 5.0)
 
 
 async def test_a_whole_block_in_its_order(study: StudyFolder, trials: LoggedTrials) -> None:
     desk = desk_of(study, trials)
-    assert desk.state()["step"]["kind"] == "training"
+    assert (await desk.state())["step"]["kind"] == "training"
     begun = await desk.next()
     assert (begun["doing"], begun["left_s"]) == (True, 60.0)
     with pytest.raises(RefusedError, match="under way"):
@@ -99,11 +101,13 @@ async def test_a_whole_block_in_its_order(study: StudyFolder, trials: LoggedTria
         await desk.finish()
     asked = await desk.next()
     assert (asked["step"]["kind"], asked["trial"]) == ("questionnaire", begun["trial"])
+    assert asked["answered"] is False
     with pytest.raises(RefusedError, match=f"/tlx.trial={begun['trial']}"):
         await desk.finish()
     condition = study.plan.steps[0].condition
     assert trials.begun == [("P01", condition, "human")] * 2
     results = [study.progress(step).trial for step in study.plan.steps if study.progress(step).trial]
+    assert desk.results() == set(results)
     assert results == trials.ended == [f"20261122-174500-{number:03d}-P01" for number in (1, 2)]
 
 
@@ -120,7 +124,9 @@ async def test_an_interrupted_trial_is_done_again_and_is_no_result(
         await desk.finish()
     second = (await desk.next())["trial"]
     assert first != second
+    assert desk.results() == set()
     await desk.finish()
+    assert desk.results() == {second}
     assert study.progress(study.plan.steps[1]).trial == second
     assert trials.ended == [first, second]
 
@@ -132,8 +138,11 @@ async def test_after_a_crash_the_same_step_comes_again(study: StudyFolder, trial
     await desk.next()
     found = StudyFolder(study.folder)
     assert [step.id for step in found.recover()] == ["P01-02"]
-    state = desk_of(found, trials).state()
+    state = await desk_of(found, trials).state()
     assert (state["step"]["id"], state["doing"], state["again"]) == ("P01-02", False, True)
+    statuses = [(each["status"], each["interrupted"]) for each in state["own"][:3]]
+    assert statuses == [("done", 0), ("interrupted", 1), ("waiting", 0)]
+    assert state["participants"] == [{"code": "P01", "steps": 8, "done": 1, "interrupted": 1}]
 
 
 async def test_a_trial_that_was_ended_elsewhere_is_a_result(study: StudyFolder, trials: LoggedTrials) -> None:
@@ -149,8 +158,19 @@ async def test_a_trial_that_was_ended_elsewhere_is_a_result(study: StudyFolder, 
 
 async def test_another_vessel_is_asked_for(study: StudyFolder, trials: LoggedTrials) -> None:
     desk = desk_of(study, trials, vessel="network")
-    assert "bifurcation under the microscope" in desk.state()["say"]
-    with pytest.raises(RefusedError, match="bifurcation under the microscope"):
+    state = await desk.state()
+    assert "bifurcation under the microscope" in state["say"]
+    assert "network is under the microscope, bifurcation is needed" in state["refusal"]
+    with pytest.raises(RefusedError, match="bifurcation is needed"):
+        await desk.next()
+    assert trials.begun == []
+
+
+async def test_a_trial_needs_a_target(study: StudyFolder, trials: LoggedTrials) -> None:
+    study.finish(study.plan.steps[0])
+    desk = desk_of(study, trials, target=False)
+    assert "critical area" in (await desk.state())["refusal"]
+    with pytest.raises(RefusedError, match="needs a target"):
         await desk.next()
     assert trials.begun == []
 
@@ -159,7 +179,7 @@ async def test_the_end_is_told(study: StudyFolder, trials: LoggedTrials) -> None
     for step in study.plan.steps:
         study.finish(step)
     desk = desk_of(study, trials)
-    assert "report" in desk.state()["say"]
+    assert "report" in (await desk.state())["say"]
     with pytest.raises(RefusedError, match="every step"):
         await desk.next()
 
@@ -176,5 +196,8 @@ async def test_over_rest(study: StudyFolder) -> None:
         refused = await page.post("/api/v1/study/next")
         assert (refused.status_code, refused.json()["code"]) == (409, "step_running")
         assert (await page.post("/api/v1/study/interrupt")).json()["again"] is True
+        free = {"participant": "P09", "condition": "with_autonomy", "operator_kind": "human"}
+        refused = await page.post("/api/v1/trials", json=free)
+        assert (refused.status_code, refused.json()["code"]) == (409, "study_leads")
         assert orjson.loads((study.folder / "progress.jsonl").read_bytes().splitlines()[-1])["trial"] is None
     app.state.context.encoder.close()

@@ -1,28 +1,34 @@
 """The web application in a thread, over trials on disk and a rig without devices."""
 
 import asyncio
+import itertools
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from mrnav_server.app.server import create_app
+from mrnav_server.app.study_progress import LedStudy
 from mrnav_server.settings import Settings
 from tests.app.fake_rig import OPERATOR_TOKEN, SERVER, FakeRig, listening
 
 
 @contextmanager
-def pages_server(trials: Path) -> Iterator[str]:
-    """Serve the pages over the trials in a folder; yields the address."""
+def pages_server(trials: Path, study: LedStudy | None = None) -> Iterator[str]:
+    """Serve the pages over the trials in a folder, and lead a study; yields the address."""
     settings = Settings.model_validate({"server": SERVER, "recording": {"root": str(trials)}})
     ready, over = threading.Event(), threading.Event()
     ports: list[int] = []
 
     async def serve() -> None:
-        async with listening(create_app(FakeRig(settings), settings)) as port:
+        rig = FakeRig(settings)
+        async with listening(create_app(rig, settings, study)) as port:
             ports.append(port)
             ready.set()
-            await asyncio.to_thread(over.wait)
+            for seq in itertools.count(1):
+                rig.publish(seq)
+                if await asyncio.to_thread(over.wait, 0.1):
+                    break
 
     thread = threading.Thread(target=asyncio.run, args=(serve(),))
     thread.start()
