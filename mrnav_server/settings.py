@@ -158,6 +158,19 @@ class RecordingConfig(RecorderConfig):
     root: str = "trials"
 
 
+@dataclass(frozen=True, slots=True)
+class ModelsConfig:
+    """Where the dashboard keeps what it imports and trains.
+
+    Attributes:
+        root: Folder that gets one folder per vessel model.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
+
+    root: str = "models"
+
+
 class Settings(BaseModel):
     """Every setting of a server; immutable. A section is one line here."""
 
@@ -190,6 +203,7 @@ class Settings(BaseModel):
     guards: GuardConfig = GuardConfig()
     recording: RecordingConfig = RecordingConfig()
     video: VideoConfig = VideoConfig()
+    models: ModelsConfig = ModelsConfig()
 
     def public(self) -> dict[str, Any]:
         """Return the configuration without the tokens, ready for JSON."""

@@ -9,10 +9,12 @@ from fastapi import APIRouter, Depends, Query, Response, WebSocket
 from mrnav_server.app import (
     areas,
     calibration_routes,
+    playback_routes,
     registration_routes,
     results_routes,
     study_routes,
     tlx_routes,
+    training_routes,
     trials,
 )
 from mrnav_server.app.auth import SESSION_HEADER
@@ -33,11 +35,13 @@ streams = APIRouter(tags=["streams"], dependencies=[Depends(viewer)])
 api = APIRouter(prefix="/api/v1", dependencies=[Depends(viewer)])
 api.include_router(areas.router)
 api.include_router(trials.router)
+api.include_router(playback_routes.router)
 api.include_router(results_routes.router)
 api.include_router(tlx_routes.router)
 api.include_router(study_routes.router)
 api.include_router(registration_routes.router)
 api.include_router(calibration_routes.router)
+api.include_router(training_routes.router)
 
 
 @health.get("/healthz")

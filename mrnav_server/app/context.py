@@ -13,6 +13,7 @@ from mrnav_server.app.auth import CHIEFS_ONLY, OPERATORS_ONLY, Gate, Principal, 
 from mrnav_server.app.problems import ApiError
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.study_desk import StudyDesk
+from mrnav_server.app.training_desk import TrainingDesk
 from mrnav_server.app.twin import TwinHub
 from mrnav_server.app.video import VideoEncoder, VideoHub
 
@@ -29,6 +30,7 @@ class AppContext:
         video: Serves ``/ws/video`` and ``/video.mjpeg``.
         vessel_png: The vessel's mask; encoding it takes longer than a control tick.
         study: The study that it leads through; None without one.
+        training: Makes vessel models and policies for pages.
     """
 
     rig: RigPort
@@ -37,7 +39,8 @@ class AppContext:
     encoder: VideoEncoder
     video: VideoHub
     vessel_png: bytes
-    study: StudyDesk | None = None
+    study: StudyDesk | None
+    training: TrainingDesk
 
 
 async def context(connection: HTTPConnection) -> AppContext:

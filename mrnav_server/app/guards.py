@@ -4,6 +4,7 @@ import asyncio
 import base64
 import hashlib
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 from starlette.datastructures import MutableHeaders
@@ -17,14 +18,20 @@ _INLINE_SCRIPT = re.compile(r"<script(?![^>]*\bsrc=)[^>]*>(.*?)</script>", re.DO
 
 
 class BoundedBodies:
-    """Reads each request's body before the app sees it; refuses one that is too large or too slow."""
+    """Reads each request's body before the app sees it; refuses one that is too large or too slow.
 
-    def __init__(self, app: ASGIApp) -> None:
+    Args:
+        app: The app behind.
+        streamed: Paths whose routes read their bodies themselves, once they know who asks.
+    """
+
+    def __init__(self, app: ASGIApp, streamed: Collection[str] = ()) -> None:
         self._app = app
+        self._streamed = streamed
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer 413 or 408, or let the app answer."""
-        if scope["type"] != "http":
+        if scope["type"] != "http" or scope["path"] in self._streamed:
             await self._app(scope, receive, send)
             return
         body = bytearray()

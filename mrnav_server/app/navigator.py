@@ -5,11 +5,13 @@ import json
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 from mrnav_server.autonomy.following import Law
 from mrnav_server.autonomy.grid_graph import GridGraph
 from mrnav_server.autonomy.path import PathPlanner, PlannedPath
 from mrnav_server.autonomy.policy import Policy, PolicyError
+from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.frames import Calibration, VesselPoint
 from mrnav_server.core.records import CriticalArea
 from mrnav_server.core.vessel import VesselMap
@@ -64,6 +66,21 @@ class Navigator:
         if self._config.law == "direct":
             self.autopilot.use(self._law())
 
+    async def use(self, folder: Path) -> None:
+        """Go by the policy in a folder from here on.
+
+        Raises:
+            RefusedError: If it cannot be used; the policy in use stays.
+        """
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._thread, self._load_policy, folder)
+        except PolicyError as error:
+            raise RefusedError("bad_policy", f"the policy cannot be used: {error}") from None
+        if self._config.source == "policy":
+            self.autopilot.refusal = ""
+        if self._config.law == "direct":
+            self.autopilot.use(self._law())
+
     async def plan(
         self, start: VesselPoint, target: VesselPoint, epsilon_um: float = math.inf
     ) -> PlannedPath:
@@ -100,20 +117,23 @@ class Navigator:
         self._thread.shutdown(wait=False, cancel_futures=True)
 
     def _load(self) -> None:
-        from mrnav_server.autonomy.torchscript import load_policy
-
         self._planner = PathPlanner(self._vessel, self._path_config)
         if self._config.law == "direct":
             self._lengths = GridGraph(self._vessel)
             # Built once, here: later asks only read it.
             _ = self._lengths.matrix
         try:
-            self._policy = load_policy(self._folder, self._vessel)
-            manifest = json.loads((self._folder / "manifest.json").read_text())
-            self.policy_sha256 = manifest["policy_sha256"]
-            self._verdict = ""
+            self._load_policy(self._folder)
         except PolicyError as error:
             self._verdict = f"the policy cannot be used: {error}"
+
+    def _load_policy(self, folder: Path) -> None:
+        from mrnav_server.autonomy.torchscript import load_policy
+
+        self._policy = load_policy(folder, self._vessel)
+        manifest = json.loads((folder / "manifest.json").read_text())
+        self.policy_sha256 = manifest["policy_sha256"]
+        self._folder, self._verdict = folder, ""
 
     def _plan(self, start: VesselPoint, target: VesselPoint, epsilon_um: float) -> PlannedPath:
         policy = self._policy if self._config.source == "policy" else None

@@ -13,7 +13,7 @@ from starlette.responses import Response
 from mrnav_server.core.errors import DeviceError, MrnavError, RefusedError
 
 _CODES = {400: "bad_request", 404: "not_found", 405: "method_not_allowed"}
-_MISSING = {"no_such_area", "no_such_trial"}
+_MISSING = {"no_such_area", "no_such_model", "no_such_trial"}
 
 
 class ApiError(MrnavError):

@@ -165,6 +165,7 @@ class Rig:
             self.herald,
             step=lambda: self._step(self._clock()),
             publish=self._publish,
+            trial_refusal=lambda: self.trials.auto_refusal,
             clock=clock,
         )
         self.hand_seat = seat = HandSeat(
@@ -276,6 +277,14 @@ class Rig:
     def policies(self) -> list[dict[str, Any]]:
         """Describe the policies and whether they were verified."""
         return [dataclasses.asdict(card) for card in self.navigator.policy_cards()]
+
+    async def use_policy(self, folder: Path) -> None:
+        """Verify a policy of this vessel model and go by it from here on.
+
+        Raises:
+            RefusedError: If it cannot be used; the policy in use stays.
+        """
+        await self.navigator.use(folder)
 
     def readiness(self) -> list[str]:
         """Return why the rig is not ready; empty when it is."""
@@ -538,6 +547,8 @@ class Rig:
         return None if state is None else wire_twin.twin_state(state, self.calibration)
 
     def _publish(self) -> None:
-        state = self.telemetry.state(self._clock(), self._counters(), self._recorder.trial)
+        state = self.telemetry.state(
+            self._clock(), self._counters(), self._recorder.trial, self.trials.auto_refusal
+        )
         self.states.put(state)
         self.telemetry.on_published(state.track, self._clock())

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from mrnav_server.app.page_hand import Seat
@@ -188,6 +189,9 @@ class RigPort(Protocol):
 
     def to_vessel(self, frame: str, x: float, y: float) -> VesselPoint:
         """Map a point of the vessel, image or stage frame into the vessel's grid."""
+
+    async def use_policy(self, folder: Path) -> None:
+        """Verify a policy of this vessel and go by it; RefusedError with the reason if it is not one."""
 
     def policies(self) -> list[dict[str, Any]]:
         """Describe the policies and whether they were verified."""

@@ -129,6 +129,7 @@ async def _process(
                 if not server.started:
                     web.cancel()
         finally:
+            app.state.context.training.cancel()
             app.state.context.encoder.close()
 
 

@@ -10,14 +10,16 @@ from fastapi import FastAPI, Request
 from fastapi.responses import FileResponse, HTMLResponse
 
 from mrnav_server import __version__
-from mrnav_server.app import api
+from mrnav_server.app import api, training_routes
 from mrnav_server.app.auth import Gate
 from mrnav_server.app.context import AppContext
 from mrnav_server.app.guards import BoundedBodies, SecurityHeaders, content_policy
 from mrnav_server.app.pages import Pages, pages_folder
 from mrnav_server.app.problems import install_problems
 from mrnav_server.app.rig_port import RigPort
-from mrnav_server.app.study_desk import LedStudy, StudyDesk
+from mrnav_server.app.study_desk import StudyDesk
+from mrnav_server.app.study_progress import LedStudy
+from mrnav_server.app.training_desk import training_desk
 from mrnav_server.app.twin import TwinHub
 from mrnav_server.app.video import VideoHub
 from mrnav_server.settings import Settings
@@ -38,9 +40,9 @@ def create_app(rig: RigPort, settings: Settings, study: LedStudy | None = None) 
     )
     gate = Gate(settings.server)
     _, png = cv2.imencode(".png", rig.vessel.lumen.astype(np.uint8) * 255)
-    desk = StudyDesk(study, settings.rig.vessel, rig.trials, time.monotonic) if study is not None else None
+    desk = _study_desk(rig, settings, study) if study is not None else None
     app.state.context = AppContext(
-        rig, gate, TwinHub(rig), rig.encoder, VideoHub(rig.encoder), png.tobytes(), desk
+        rig, gate, TwinHub(rig), rig.encoder, VideoHub(rig.encoder), png.tobytes(), desk, training_desk(rig)
     )
     install_problems(app)
     for router in (api.health, api.streams, api.api):
@@ -56,9 +58,13 @@ def create_app(rig: RigPort, settings: Settings, study: LedStudy | None = None) 
     folder = pages_folder()
     app.mount("/static", Pages(folder, gate.tokens), name="static")
     app.mount("/", Pages(folder, gate.tokens), name="pages")
-    app.add_middleware(BoundedBodies)
+    app.add_middleware(BoundedBodies, streamed={training_routes.PICTURE_PATH})
     app.add_middleware(SecurityHeaders, policy=content_policy(folder))
     return app
+
+
+def _study_desk(rig: RigPort, settings: Settings, study: LedStudy) -> StudyDesk:
+    return StudyDesk(study, settings.rig.vessel, rig.trials, lambda: bool(rig.areas.list()), time.monotonic)
 
 
 async def _docs_page(request: Request) -> HTMLResponse:

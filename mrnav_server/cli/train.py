@@ -1,6 +1,7 @@
 """`mrnav train`: train a policy for a vessel model."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -42,6 +43,9 @@ def train(
     tensorboard: Annotated[
         bool, typer.Option("--tensorboard", help="Write TensorBoard's files too.")
     ] = False,
+    progress_lines: Annotated[
+        bool, typer.Option("--progress", help="Print progress as JSON, a line each, in place of bars.")
+    ] = False,
     json_output: Annotated[
         bool, typer.Option("--json", help="Print one JSON object on the last line.")
     ] = False,
@@ -60,8 +64,8 @@ def train(
     if resume is not None and (assignments or out is not None):
         raise ConfigError("--resume goes on as it began, in its own folder: leave out --set and --out")
     folder = find_model(model)
-    with Progress(console=Console(stderr=True)) as bars:
-        show = _Bars(bars).show
+    with Progress(console=Console(stderr=True), disable=progress_lines) as bars:
+        show = _print_line if progress_lines else _Bars(bars).show
         if resume is not None:
             result = resume_training(folder, resume, show, pairs, tensorboard=tensorboard)
         else:
@@ -76,6 +80,10 @@ def train(
     typer.echo(f"{result.identity.name} is in {result.folder} ({result.cpu_s:.0f} s of processor time)")
     if json_output:
         typer.echo(json.dumps(result.record()))
+
+
+def _print_line(report: "Report") -> None:
+    typer.echo(json.dumps(asdict(report)))
 
 
 class _Bars:

@@ -1,5 +1,6 @@
 """From a photograph on disk to a vessel model's folder."""
 
+import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from mrnav_server.vision.vessel_model import (
 )
 
 PREVIEW_FILE = "preview.png"
+REPORT_FILE = "report.json"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 
 
@@ -29,7 +31,7 @@ class Imported:
     """A model that was imported.
 
     Attributes:
-        folder: Holds ``mask.png``, ``model.json`` and ``preview.png``.
+        folder: Holds ``mask.png``, ``model.json``, ``preview.png`` and ``report.json``.
         report: The model in figures.
         side: Whether the lumen is the bright or the dark part of the photograph.
         drawn: Whether the photograph was a mask.
@@ -92,7 +94,10 @@ def import_map(
             f" {MAX_SIZE_PX * GRID_UM_PER_PX / 1000:.0f} mm: kept is the part with most room for the robot,"
             f" {side:.0f} px wide from ({left:.0f}, {top:.0f}); --crop chooses another"
         )
-    return Imported(folder, report, found.side, found.drawn, (*notes, *report_notes(report)))
+    done = Imported(folder, report, found.side, found.drawn, (*notes, *report_notes(report)))
+    told = report.details() | {"drawn": done.drawn, "side": done.side, "notes": done.notes}
+    (folder / REPORT_FILE).write_text(json.dumps(told, indent=1))
+    return done
 
 
 def report_notes(report: MapReport) -> tuple[str, ...]:

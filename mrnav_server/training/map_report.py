@@ -1,6 +1,6 @@
 """What a vessel model is like: widths, length, junctions, and where the robot does not fit."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,16 @@ class MapReport:
             "free_fraction": round(self.free_fraction, 5),
             "junctions": self.junctions,
             "length_um": round(self.length_um, 1),
+        }
+
+    def details(self) -> dict[str, Any]:
+        """Return all figures for JSON."""
+        least_um, median_um, most_um = (round(width_um, 1) for width_um in self.widths_um)
+        return self.record() | {
+            "size_um": self.vessel.size_px * self.vessel.um_per_px,
+            "reached_um": round(self.reached_um, 1),
+            "width_um": {"least": least_um, "median": median_um, "most": most_um},
+            "tight": [asdict(place) for place in self.tight],
         }
 
 

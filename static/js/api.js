@@ -32,7 +32,7 @@ export class ApiError extends Error {
  * Send one request and return the answer's JSON (null for an empty answer).
  * @param {"GET" | "POST" | "PUT" | "DELETE"} method
  * @param {string} path Below /api/v1.
- * @param {unknown} [body]
+ * @param {unknown} [body] Sent as JSON; a file as it is.
  * @param {{as?: string, timeout_ms?: number}} [how] As another session than this page's own; waiting longer.
  * @returns {Promise<unknown>}
  * @throws {ApiError}
@@ -44,12 +44,13 @@ export async function request(method, path, body, { as = session ?? "", timeout_
     response = await fetch(BASE + path, {
       method,
       headers: {
-        ...(body === undefined ? {} : { "content-type": "application/json" }),
+        ...(body === undefined ? {} : { "content-type": body instanceof Blob ? body.type : "application/json" }),
         ...(as === "" ? {} : { "x-mrnav-session": as }),
       },
-      body: body === undefined ? null : JSON.stringify(body),
+      body: body === undefined ? null : body instanceof Blob ? body : JSON.stringify(body),
       cache: "no-store",
-      keepalive: true,
+      // So that what was asked last gets out of a page that closes; a file is too large for that.
+      keepalive: !(body instanceof Blob),
       signal: AbortSignal.timeout(timeout_ms),
     });
   } catch {

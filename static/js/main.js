@@ -22,8 +22,10 @@ import { Status } from "./status.js";
 import { SteerGamepad } from "./steer-gamepad.js";
 import { SteerKeys } from "./steer-keys.js";
 import { StopButton } from "./stop.js";
+import { StudyPanel } from "./study.js";
 import { Tools } from "./tools.js";
 import { Trials } from "./trial.js";
+import { Training } from "./training.js";
 import { trouble, TWIN_VERSION } from "./troubles.js";
 import { TwinPanel } from "./twin-panel.js";
 import { TwinClient } from "./twin.js";
@@ -55,9 +57,11 @@ const charts = new Charts();
 const calibration = new Calibration(messages);
 const areas = new Areas(messages, () => show());
 const trials = new Trials(messages);
+const study = new StudyPanel(messages);
 const registration = new Registration(messages, () => drawOverlay());
 const panel = new TwinPanel();
 const policies = new Policies();
+const training = new Training(messages, () => void policies.refresh());
 const presence = new Presence(messages);
 const siblings = new Siblings();
 const twin = new TwinClient({ onSnapshot, onState, onEvent, onLink, onHandLease: (lease) => hand.onLease(lease) });
@@ -129,7 +133,9 @@ function onSnapshot(next) {
   calibration.reset(next);
   areas.reset(next);
   trials.reset(next);
+  study.reset(next);
   registration.reset(next);
+  void training.reset(next);
   void panel.reset(next);
   if (next.state) onState(next.state);
 }
@@ -150,20 +156,22 @@ function onEvent(event) {
   switch (event.event) {
     case "areas":
       areas.update(event.critical_areas, event.next);
+      study.onNews();
       if (snapshot) void panel.reset(snapshot);
       break;
     case "handover":
-      messages.say(event.by === "takeover" ? "You took over" : "Arrived: the robot is yours to steer", "info");
+      messages.report(event.by === "takeover" ? "You took over" : "Arrived: the robot is yours to steer", "info");
       break;
     case "contact":
-      messages.say("The robot touched the wall", "warning");
+      messages.report("The robot touched the wall", "warning");
       break;
     case "lease":
       controls.explainLease(event.reason ?? "");
       presence.explain(event.reason ?? "");
       break;
     case "trial":
-      if (event.mark === "reached") messages.say("Target reached", "info");
+      if (event.mark === "reached") messages.report("Target reached", "info");
+      study.onMark(event.mark);
       break;
     case "calibration":
     case "registration":
@@ -172,7 +180,7 @@ function onEvent(event) {
       if (snapshot) void panel.reset(snapshot);
       break;
     case "fault":
-      messages.say(event.reason, "warning");
+      messages.report(event.reason, "warning");
       break;
   }
 }
@@ -235,8 +243,10 @@ function show() {
   status.showFigures(state);
   status.showRates(state);
   trials.show(state, now_ms / 1000, fresh);
+  study.show(now_ms / 1000, fresh);
   registration.show(state, fresh);
   calibration.show(state, fresh);
+  training.show(state, fresh);
   const left_s = state.time_to_handover_s;
   const announced = fresh && state.mode === "AUTO" && left_s !== null && left_s <= ANNOUNCE_HANDOVER_S;
   announcement.hidden = !announced;

@@ -3,9 +3,10 @@
  * @module
  */
 
+import { request } from "./api.js";
 import { byId, make, setText } from "./dom.js";
 
-/** @import { Snapshot } from "./types.js" */
+/** @import { Policy, Snapshot } from "./types.js" */
 
 export class Policies {
   #list = byId("policies", HTMLUListElement);
@@ -13,8 +14,23 @@ export class Policies {
 
   /** @param {Snapshot} snapshot */
   reset(snapshot) {
+    this.#show(snapshot.policies);
+    setText(this.#train, `mrnav train ${snapshot.vessel.name}`);
+  }
+
+  /** Ask again: another policy may drive. */
+  async refresh() {
+    try {
+      this.#show(/** @type {Policy[]} */ (await request("GET", "/policies")));
+    } catch {
+      // The next snapshot names them.
+    }
+  }
+
+  /** @param {Policy[]} policies */
+  #show(policies) {
     this.#list.replaceChildren(
-      ...snapshot.policies.map(({ name, kind, verified, reason }) =>
+      ...policies.map(({ name, kind, verified, reason }) =>
         make(
           "li",
           {},
@@ -23,6 +39,5 @@ export class Policies {
         ),
       ),
     );
-    setText(this.#train, `mrnav train ${snapshot.vessel.name}`);
   }
 }

@@ -12,6 +12,8 @@ import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
 const SCENE = "/api/v1/vessel.glb";
 const UM = 1e-6;
+/** Parts with edges: shading that runs around an edge makes a block look like a cushion. */
+const FLAT = ["vessel", "plate"];
 
 export class RigModel {
   group = new three.Group();
@@ -47,6 +49,7 @@ export class RigModel {
     const { scene } = await this.#loader.loadAsync(SCENE);
     if (this.#rig) this.group.remove(this.#rig);
     this.#rig = scene;
+    for (const name of FLAT) scene.getObjectByName(name)?.traverse(flatten);
     this.group.add(scene);
     this.#robot = scene.getObjectByName("robot") ?? null;
     this.#tool = scene.getObjectByName("tool") ?? null;
@@ -86,4 +89,10 @@ export class RigModel {
       if (part) part.visible = visible;
     }
   }
+}
+
+/** @param {three.Object3D} part */
+function flatten(part) {
+  if (!(part instanceof three.Mesh) || !(part.material instanceof three.MeshStandardMaterial)) return;
+  part.material.flatShading = true;
 }

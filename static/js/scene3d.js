@@ -31,9 +31,9 @@ export class Scene3d {
     this.#canvas = canvas;
     this.#renderer = new three.WebGLRenderer({ canvas, antialias: true, alpha: true });
     this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
-    this.#scene.add(new three.HemisphereLight(0xdfe8f0, 0x20262c, 1.6));
-    const lamp = new three.DirectionalLight(0xffffff, 2.2);
-    lamp.position.set(0.01, 0.05, -0.02);
+    this.#scene.add(new three.HemisphereLight(0xdfe8f0, 0x20262c, 0.9));
+    const lamp = new three.DirectionalLight(0xffffff, 1.5);
+    lamp.position.set(0.04, 0.05, -0.03);
     this.#scene.add(lamp, this.#rig.group);
     this.#controls = new OrbitControls(this.#camera, canvas);
     this.#controls.addEventListener("change", () => this.#draw());
@@ -72,8 +72,8 @@ export class Scene3d {
       // Not quite straight: a look along the up direction has no sideways.
       this.#camera.position.set(middle, away_m, middle + 1e-6);
     } else {
-      this.#camera.position.set(middle + 0.55 * side_m, 1.75 * side_m, middle + 2.1 * side_m);
-      this.#controls.target.set(middle, 0.25 * side_m, middle);
+      this.#camera.position.set(middle + 0.45 * side_m, 1.5 * side_m, middle + 1.7 * side_m);
+      this.#controls.target.set(middle, 0.18 * side_m, middle);
     }
     // From above the tool hides what it points at.
     this.#rig.showParts(["needle", "arm"], view !== "microscope");

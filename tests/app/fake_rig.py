@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -67,6 +68,7 @@ STATE = RigState(
     hand={"scale": "coarse", "gain": 0.04, "messages_hz": 60.0, "poses_hz": 30.0},
     counters={"stale": 3},
     trial=None,
+    learned={"offset_um": [0.0, 0.0], "friction_lead_um": 0.0, "looks": 0},
 )
 
 
@@ -243,6 +245,9 @@ class FakeRig:
 
     def heartbeat(self, session: str) -> None:
         self.asked.append(("heartbeat", session))
+
+    async def use_policy(self, folder: Path) -> None:
+        self._note("use_policy", folder.name)
 
     def policies(self) -> list[dict[str, Any]]:
         return [{"name": "ppo", "kind": "torchscript", "verified": True, "reason": ""}]

@@ -64,6 +64,8 @@ ROUTES: dict[tuple[str, str], tuple[str, Any, int]] = {
     ("GET", "/api/v1/trials/{trial_id}/result"): (WATCH, None, 404),
     ("POST", "/api/v1/trials/{trial_id}/result"): (CONTROL, None, 404),
     ("GET", "/api/v1/trials/{trial_id}/trajectory"): (WATCH, None, 404),
+    ("GET", "/api/v1/trials/{trial_id}/playback"): (WATCH, None, 404),
+    ("GET", "/api/v1/trials/{trial_id}/film/{number}.jpg"): (WATCH, None, 404),
     ("GET", "/api/v1/trials/{trial_id}/tlx"): (WATCH, None, 404),
     ("POST", "/api/v1/trials/{trial_id}/tlx"): (CONTROL, TLX, 404),
     ("GET", "/api/v1/trials/{trial_id}/tlx/form"): (WATCH, None, 404),
@@ -72,6 +74,14 @@ ROUTES: dict[tuple[str, str], tuple[str, Any, int]] = {
     ("POST", "/api/v1/study/next"): (CONTROL, None, 404),
     ("POST", "/api/v1/study/finish"): (CONTROL, None, 404),
     ("POST", "/api/v1/study/interrupt"): (CONTROL, None, 404),
+    # What begins a computation is in test_training_routes.py.
+    ("GET", "/api/v1/training"): (CONTROL, None, 200),
+    ("POST", "/api/v1/training/picture"): (CONTROL, None, 422),
+    ("POST", "/api/v1/training/live"): (CONTROL, {"name": "Not a name"}, 409),
+    ("GET", "/api/v1/training/models/{model}/preview.png"): (CONTROL, None, 404),
+    ("POST", "/api/v1/training/begin"): (CONTROL, {"model": "none"}, 404),
+    ("POST", "/api/v1/training/cancel"): (CONTROL, None, 200),
+    ("POST", "/api/v1/training/use"): (CONTROL, None, 409),
 }
 STREAMED = {("GET", "/video.mjpeg")}
 """Endless answers: refused below, served in test_app_streams.py."""
@@ -95,7 +105,7 @@ def bearer(token: str) -> dict[str, str]:
 
 
 def path_of(template: str) -> str:
-    return template.format(area_id="area-1", trial_id="trial-1")
+    return template.format(area_id="area-1", trial_id="trial-1", number=0, model="none")
 
 
 def test_the_matrix_knows_every_route(app: FastAPI) -> None:

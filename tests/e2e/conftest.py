@@ -3,6 +3,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from playwright.sync_api import expect
 
 from tests.emulated_rig import PATIENT
 from tests.rig_process import RigProcess
@@ -13,6 +14,7 @@ CALM = PATIENT | {
     "MRNAV_HAND__HOLD_S": "0.2",
 }
 """A busy machine must not look like a hand, a robot or a page that is silent."""
+expect.set_options(timeout=20_000)
 
 
 def came(rig: RigProcess, condition: Callable[[dict[str, Any]], bool], within_s: float = 5.0) -> bool:

@@ -15,6 +15,9 @@ REST_M = (0.15, 1.2, -0.35)
 """Where the hand rests; from here its ray meets no button."""
 _MENU_M = (0.48, 1.6 - 0.38 + 0.27, -0.66 - 0.26)
 _MENU_TURN = (-0.12, -0.5)
+_PICTURE_M = (0.0, 1.6 - 0.38 + 0.27, -0.66 - 0.38)
+_PICTURE_TURN = (-0.12, 0.0)
+_PICTURE_SIZE_M = (0.56, 0.42)
 _BUTTONS_M = {
     "STOP": (0.0, 0.15),
     "Auto": (-0.08, 0.06),
@@ -27,7 +30,9 @@ _BUTTONS_M = {
 """Places of the buttons on their panel."""
 _DEVICE = """
 ;(() => {
-  const device = new IWER.XRDevice(IWER.metaQuest3, { stereoEnabled: false });
+  const modes = ["inline", "immersive-vr", "immersive-ar"].filter((mode) => mode !== "%s");
+  const model = { ...IWER.metaQuest3, supportedSessionModes: modes };
+  const device = new IWER.XRDevice(model, { stereoEnabled: false });
   device.installRuntime({ forceInstall: true });
   // It calls every position a guess.
   window.guessing = false;
@@ -91,6 +96,7 @@ class Headset:
         browser: Draws by software; the page is asked not to draw at all unless ``draw``.
         rig: The server.
         kind: What the operator holds, "hand" or "controller".
+        lacks: A kind of session that it does not offer, such as "immersive-ar".
     """
 
     def __init__(
@@ -100,10 +106,11 @@ class Headset:
         *,
         kind: str = "hand",
         role: str = "operator",
+        lacks: str = "",
         draw: bool = False,
     ) -> None:
         self._context = browser.new_context(viewport={"width": 640, "height": 360})
-        device = _DEVICE % (", ".join(map(str, EYES_M)), kind, list(REST_M))
+        device = _DEVICE % (lacks, ", ".join(map(str, EYES_M)), kind, list(REST_M))
         self._context.add_init_script(IWER.read_text() + device)
         self.page: Page = self._context.new_page()
         self.complaints: list[str] = []
@@ -126,6 +133,12 @@ class Headset:
     def press(self, button: str) -> None:
         """Point at a button of the room and pinch."""
         self.do("press", _BUTTONS_M[button], _MENU_M, _MENU_TURN, REST_M)
+
+    def mark(self, share_x: float, share_y: float) -> None:
+        """Point at a place of the microscope's picture, as shares from its upper left corner, and pinch."""
+        self.press("Mark area")
+        at = ((share_x - 0.5) * _PICTURE_SIZE_M[0], (0.5 - share_y) * _PICTURE_SIZE_M[1])
+        self.do("press", at, _PICTURE_M, _PICTURE_TURN, REST_M)
 
     def see_hand(self, seen: bool) -> None:
         """Bring the right hand into view, or out of it."""

@@ -25,6 +25,18 @@ FLAGS = [
     "--disable-sync",
 ]
 PATIENCE_MS = 20_000
+AN_ANSWER_THEN_A_FAULT = """async () => {
+  const { Messages } = await import("/static/js/messages.js");
+  const messages = new Messages();
+  const shown = () => document.getElementById("message-text").textContent;
+  messages.say("refused", "warning");
+  messages.report("a fault", "warning");
+  const seen = [shown()];
+  messages.clear();
+  seen.push(shown());
+  messages.report("another fault", "warning");
+  return [...seen, shown()];
+}"""
 
 
 @pytest.fixture
@@ -53,6 +65,7 @@ def test_an_operator_runs_a_task_from_the_page(rig_process: RigProcess, page: Pa
     assert box is not None
     page.mouse.click(box["x"] + 0.02 * box["width"], box["y"] + 0.5 * box["height"])
     expect(page.get_by_test_id("message-text")).to_contain_text("outside", timeout=PATIENCE_MS)
+    assert page.evaluate(AN_ANSWER_THEN_A_FAULT) == ["Refused.", "A fault.", "Another fault."]
     site = rig_process.snapshot["vessel"]["suggested_areas"][0]
     (a, _, tx), (_, d, ty) = rig_process.snapshot["calibration"]["image_from_vessel"]
     x_px, y_px = a * site["x_px"] + tx, d * site["y_px"] + ty

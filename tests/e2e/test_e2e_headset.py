@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, expect, sync_playwright
 
+from tests.e2e.axe import stumbling_blocks
 from tests.e2e.headset import BY_SOFTWARE, IWER, REST_M, Headset
 from tests.e2e.test_e2e_dashboard import CHROMIUM, FLAGS, PATIENCE_MS
 from tests.rig_process import RigProcess
@@ -117,10 +118,14 @@ def test_an_operator_drives_loses_the_hand_and_goes_on(
 
 def test_a_pinch_takes_over_and_who_leaves_can_come_back(rig_process: RigProcess, browser: Browser) -> None:
     headset = Headset(browser, rig_process)
-    site = rig_process.snapshot["vessel"]["suggested_areas"][0]
-    center = {"frame": "vessel", "x": site["x_px"], "y": site["y_px"]}
-    rig_process.post("/api/v1/critical-areas", {"center": center, "epsilon_um": 500.0})
     armed(headset, rig_process)
+    site = rig_process.snapshot["vessel"]["suggested_areas"][0]
+    (a, _, tx), (_, d, ty) = rig_process.snapshot["calibration"]["image_from_vessel"]
+    headset.mark((a * site["x_px"] + tx) / 1600, (d * site["y_px"] + ty) / 1200)
+    rig_process.until(lambda s: s["critical_area"] is not None, "the area")
+    (area,) = rig_process.http.get("/api/v1/critical-areas").json()
+    center = (area["center"]["x_px"], area["center"]["y_px"])
+    assert math.dist(center, (site["x_px"], site["y_px"])) < 20.0
 
     def take_over() -> None:
         rig_process.until(lambda s: s["auto_ready"], "AUTO to be possible")
@@ -160,8 +165,10 @@ def test_another_hand_keeps_its_seat_and_a_viewer_gets_none(
     assert headset.page.locator("html").get_attribute("data-seated") == "false"
     assert headset.sent == []
     headset.close()
-    viewer = Headset(browser, rig_process, role="viewer")
+    viewer = Headset(browser, rig_process, role="viewer", lacks="immersive-ar")
+    expect(viewer.page.get_by_test_id("checks")).to_contain_text("Virtual reality only", timeout=PATIENCE_MS)
     viewer.enter()
+    assert viewer.page.evaluate("headset.device.activeSession.environmentBlendMode") == "opaque"
     viewer.wait(300)
     assert viewer.sent == []
     viewer.press("STOP")
@@ -174,6 +181,7 @@ def test_the_page_says_what_is_missing(rig_process: RigProcess, browser: Browser
     expect(page.get_by_test_id("checks")).to_contain_text("headset's own browser", timeout=PATIENCE_MS)
     expect(page.get_by_test_id("enter")).to_be_disabled()
     expect(page.get_by_test_id("authority")).to_be_hidden()
+    assert stumbling_blocks(page) == []
     page.close()
     context = browser.new_context()
     context.add_init_script(

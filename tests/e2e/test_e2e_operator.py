@@ -14,6 +14,15 @@ from tests.rig_process import RigProcess
 __all__ = ["page"]
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 REPORT_MS = 120_000
+GAMEPAD = """() => {
+  const up = () => Array.from({ length: 17 }, () => ({ pressed: false, value: 0 }));
+  window.pad = { connected: true, mapping: "standard", id: "a pad", axes: [0, 0], buttons: up() };
+  window.pad.press = (...down) => {
+    window.pad.buttons = up();
+    for (const button of down) window.pad.buttons[button] = { pressed: true, value: 1 };
+  };
+  navigator.getGamepads = () => [window.pad];
+}"""
 TRIES = 4
 """A busy machine may hold the rig under way: whoever operates it goes on, as a person would."""
 
@@ -117,7 +126,9 @@ def drag(page: Page, rig: RigProcess) -> None:
 
 def fill_tlx(form: Page) -> None:
     """Fifteen pairs and six scales, by keyboard."""
-    form.get_by_test_id("begin").press("Enter", timeout=PATIENCE_MS)
+    # Keys go to what is hidden too, and nobody hears them there.
+    expect(form.get_by_test_id("begin")).to_be_visible(timeout=PATIENCE_MS)
+    form.get_by_test_id("begin").press("Enter")
     for number in range(1, 16):
         expect(form.get_by_test_id("pair-count")).to_have_text(f"Pair {number} of 15", timeout=PATIENCE_MS)
         form.keyboard.press("ArrowLeft")
@@ -157,12 +168,37 @@ def test_a_trial_is_run_without_a_pointer(rig: RigProcess, page: Page) -> None:
     assert stumbling_blocks(page) == []
     page.keyboard.up("ArrowLeft")
     rig.until(lambda s: not s["clutch"], "the open clutch")
+    steer_by_gamepad(page, rig)
     walk_to(page, "trial-end").press("Enter")
     expect(page.get_by_test_id("trial-result")).to_be_visible(timeout=REPORT_MS)
+    page.evaluate("pad.press(1)")
+    expect(page.get_by_test_id("mode")).to_have_text("STOP", timeout=PATIENCE_MS)
+    page.evaluate("pad.press()")
+    walk_to(page, "reset").press("Enter")
+    expect(page.get_by_test_id("mode")).to_have_text("DISARMED", timeout=PATIENCE_MS)
     page.evaluate("scrollTo(0, document.body.scrollHeight)")
     expect(page.get_by_test_id("stop")).to_be_in_viewport(ratio=1)
     page.keyboard.press("Escape")
     expect(page.get_by_test_id("mode")).to_have_text("STOP", timeout=PATIENCE_MS)
+
+
+def steer_by_gamepad(page: Page, rig: RigProcess) -> None:
+    """Put a gamepad before the page: trigger, left stick and Y."""
+    page.evaluate(f"({GAMEPAD})(); pad.press(7)")
+    page.wait_for_timeout(200)
+    assert not rig.state["clutch"], "a trigger that was held from before steers nothing"
+    page.evaluate("pad.press()")
+    page.evaluate("pad.axes = [1, 0]")
+    page.wait_for_timeout(200)
+    before = rig.state["tip_um"]
+    page.evaluate("pad.press(7)")
+    rig.until(lambda s: s["clutch"] and s["tip_um"][0] > before[0] + 200, "the magnet going right")
+    expect(page.locator("html")).to_have_attribute("data-hand", "gamepad")
+    page.evaluate("pad.press()")
+    rig.until(lambda s: not s["clutch"], "the open clutch")
+    page.evaluate("pad.press(3)")
+    pressed(page.get_by_test_id("scale-fine"))
+    page.evaluate("pad.press()")
 
 
 def walk_to(page: Page, name: str) -> Locator:

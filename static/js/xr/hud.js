@@ -66,7 +66,7 @@ export class Hud {
       authority: Math.round((state?.authority ?? 0) * 100),
       moving: fresh && (mode === "MANUAL" || mode === "AUTO"),
       simulated,
-      message,
+      message: sentence(message),
     };
     this.#panel.show(content, (context, width, height) => paint(context, width, height, content));
   }
@@ -99,8 +99,8 @@ function paint(context, width, height, content) {
   context.fillText(content.mode, left + 36, 120);
   if (content.simulated) badge(context, width - left, 168, "simulated");
   context.fillStyle = COLORS.text;
-  context.font = `400 32px ${FONT}`;
-  wrapped(context, content.why, [left, 186 + (content.simulated ? 40 : 0)], room, 42, 3);
+  context.font = `400 30px ${FONT}`;
+  wrapped(context, content.why, [left, 186 + (content.simulated ? 38 : 0)], room, 37, 4);
 
   rule(context, left, 352, room);
   label(context, "Distance to critical area", left, 402);

@@ -50,6 +50,7 @@ let marking = false;
 let seen = false;
 let told = "";
 let told_ms = -Infinity;
+let answered_ms = -Infinity;
 /** @type {Visit | null} */ let visit = null;
 /** @type {Cockpit | null} */ let cockpit = null;
 
@@ -95,9 +96,9 @@ function onEvent(event) {
   }
   // On the page, the dashboard's events would only distract from the way in.
   if (!visit) return;
-  if (event.event === "handover") say(event.by === "takeover" ? "You took over" : "Arrived: yours to steer");
-  if (event.event === "contact") say("The robot touched the wall");
-  if (event.event === "fault") say(event.reason);
+  if (event.event === "handover") report(event.by === "takeover" ? "You took over" : "Arrived: yours to steer");
+  if (event.event === "contact") report("The robot touched the wall");
+  if (event.event === "fault") report(event.reason);
 }
 
 /** @param {HandLease} lease */
@@ -129,11 +130,18 @@ async function probeSession() {
   }
 }
 
-/** Tell the operator, in the room or on the page. @param {string} text */
+/** Answer the operator, in the room or on the page. @param {string} text */
 function say(text) {
   told = text;
-  told_ms = performance.now();
+  told_ms = answered_ms = performance.now();
   if (!visit) messages.say(text, "warning");
+}
+
+/** Tell what happened by itself; an answer is read first. @param {string} text */
+function report(text) {
+  if (performance.now() - answered_ms < MESSAGE_MS) return;
+  told = text;
+  told_ms = performance.now();
 }
 
 function scaleOfTwin() {
