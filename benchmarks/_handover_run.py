@@ -37,9 +37,6 @@ from mrnav_server.sim.world import SimulatedWorld
 
 Style = Literal["blended", "stop", "paper", "abrupt"]
 """How the server hands over; "abrupt" is no style of its own but the paper's switch without the new zero."""
-AREA_UM = 500.0
-BEYOND_UM = 5000.0
-"""The target lies so far beyond the area's centre: the operator drives on for more than the window."""
 LEAST_WAY_UM = 10_000.0
 PATIENCE_S = 40.0
 _TICK_S = 0.01
@@ -78,6 +75,8 @@ def handed_over(
     settings: Settings,
     style: Style,
     seed: int,
+    epsilon_um: float,
+    beyond_um: float,
 ) -> HandedOver | None:
     """Return how one hand-over went; None if autonomy did not arrive.
 
@@ -88,13 +87,15 @@ def handed_over(
         settings: The server's.
         style: How control passes.
         seed: Of all that is drawn.
+        epsilon_um: Radius of the critical area.
+        beyond_um: The target lies so far beyond the area's centre.
     """
     random = np.random.default_rng(seed)
     start, way = _way(vessel, middle, random)
-    index = len(way.points_px) - 1 - round(BEYOND_UM / (way.spacing_px * vessel.um_per_px))
+    index = len(way.points_px) - 1 - round(beyond_um / (way.spacing_px * vessel.um_per_px))
     center = VesselPoint(*map(float, way.points_px[index]))
     run = _Run(vessel, planner, settings, style, start, seed)
-    return run.hand_over(center, way)
+    return run.hand_over(center, epsilon_um, way)
 
 
 class _AbruptHand(HandControl):
@@ -191,7 +192,7 @@ class _Run:
         self.grip_s = math.nan
         self.pose_number = -1
 
-    def hand_over(self, center: VesselPoint, way: PlannedPath) -> HandedOver | None:
+    def hand_over(self, center: VesselPoint, epsilon_um: float, way: PlannedPath) -> HandedOver | None:
         """Drive to the area, hand over, and let the operator drive on to the way's end."""
         vessel, control = self.vessel, self.control
         scale = vessel.um_per_px
@@ -203,9 +204,9 @@ class _Run:
         robot = control.scene.robot
         if robot is None:
             return None
-        area = CriticalAreas(vessel).add(center, AREA_UM, "")
+        area = CriticalAreas(vessel).add(center, epsilon_um, "")
         control.choose_area(area)
-        slow_um = AREA_UM if self.handover.in_motion(AREA_UM) else 0.0
+        slow_um = epsilon_um if self.handover.in_motion(epsilon_um) else 0.0
         self.autopilot.prepare(self.planner.plan(robot, center), center, slow_um)
         for ask in (Ask.ARM, Ask.AUTO):
             control.submit(ask, self.world.time_s)

@@ -6,10 +6,12 @@ in lock-step with a simulated operator. All simulated.
 """
 
 import argparse
+import functools
 import json
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from rich.progress import track
 from benchmarks._handover_run import HandedOver, Style, handed_over
 from mrnav_server.autonomy.path import PathPlanner
 from mrnav_server.cli.operator_chart import MIDDLE
+from mrnav_server.core.vessel import VesselMap
 from mrnav_server.settings import Settings
 from mrnav_server.vision.model_store import find_model
 from mrnav_server.vision.vessel_model import load_vessel_model
@@ -28,6 +31,8 @@ from tests.rig_process import RigProcess
 
 STYLES: tuple[Style, ...] = ("blended", "stop", "paper", "abrupt")
 MODELS = ("bifurcation", "serpentine", "network")
+EPSILON_UM = 2500.0
+"""The operator takes over where he begins to be careful (docs/operator.md)."""
 _LEAST_S, _SPAN_S = 0.3, 0.9
 """A take-over comes this long after AUTO began, at a random moment of the span."""
 
@@ -81,18 +86,32 @@ def _take_over(rig: RigProcess, hand: HandClient, random: np.random.Generator) -
     return closed_s
 
 
-def arrivals(style: Style, count: int, seed: int) -> list[HandedOver]:
-    """Return hand-overs at arrival, the vessel models in turn."""
-    settings = Settings()
-    models = [load_vessel_model(find_model(name)) for name in MODELS]
-    planners = [(PathPlanner(model), PathPlanner(model, MIDDLE)) for model in models]
-    runs: list[HandedOver] = []
-    for number in track(range(count), f"hand-overs, {style} (simulated)", console=Console(stderr=True)):
-        which = number % len(models)
-        run = handed_over(models[which], *planners[which], settings, style, 1000 * seed + number)
-        if run is not None:
-            runs.append(run)
-    return runs
+def arrivals(
+    style: Style, count: int, seed: int, place_um: tuple[float, float], workers: int
+) -> list[HandedOver]:
+    """Return the hand-overs at arrival that came about, the vessel models in turn."""
+    jobs = [(style, number % len(MODELS), 1000 * seed + number, place_um) for number in range(count)]
+    with ProcessPoolExecutor(workers) as pool:
+        done = track(
+            pool.map(arrival, jobs),
+            f"hand-overs, {style} (simulated)",
+            total=count,
+            console=Console(stderr=True),
+        )
+        return [run for run in done if run is not None]
+
+
+def arrival(job: tuple[Style, int, int, tuple[float, float]]) -> HandedOver | None:
+    """Return one hand-over; the job ends with the area's radius and the target's distance from its centre."""
+    style, which, seed, place_um = job
+    vessel, planner, middle = _rig(which)
+    return handed_over(vessel, planner, middle, Settings(), style, seed, *place_um)
+
+
+@functools.cache
+def _rig(which: int) -> tuple[VesselMap, PathPlanner, PathPlanner]:
+    vessel = load_vessel_model(find_model(MODELS[which]))
+    return vessel, PathPlanner(vessel), PathPlanner(vessel, MIDDLE)
 
 
 def summary(runs: dict[Style, list[HandedOver]]) -> dict[str, Any]:
@@ -131,6 +150,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--epsilon-um", type=float, default=EPSILON_UM, help="radius of the critical area")
+    parser.add_argument("--beyond-um", type=float, default=0.0, help="from its centre to the target")
+    parser.add_argument("--workers", type=int, default=1, help="processes that hand over at arrival")
     options = parser.parse_args()
     taken_ms = takeovers(options.count, options.seed)
     print(f"{options.count} take-overs: p99 {np.percentile(taken_ms, 99):.1f} ms", file=sys.stderr)
@@ -141,7 +163,10 @@ def main() -> None:
             "p99": round(float(np.percentile(taken_ms, 99)), 2),
         },
     }
-    runs = {style: arrivals(style, options.count, options.seed) for style in STYLES}
+    place_um = (options.epsilon_um, options.beyond_um)
+    runs = {
+        style: arrivals(style, options.count, options.seed, place_um, options.workers) for style in STYLES
+    }
     print(json.dumps(result | summary(runs)))
 
 

@@ -14,7 +14,7 @@ from mrnav_server.core.frames import StagePoint
 from mrnav_server.core.hand_path import HandPath, PathBounds
 from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.peer_limits import Strikes
-from mrnav_server.core.shaping import Reference
+from mrnav_server.core.shaping import GENTLE, Reference
 from mrnav_server.core.tremor import TremorFilter
 
 Scale = Literal["coarse", "fine"]
@@ -22,7 +22,7 @@ Scale = Literal["coarse", "fine"]
 OUT_OF_VIEW = "the headset does not see the hand: bring it into view, then close the clutch anew"
 JUMPED = "the hand's position jumped: the jump was left out, and the hand is followed from where it is now"
 JUMPS = "the hand's position keeps jumping: check the headset's view of the hand, then close the clutch anew"
-_SLICE_S = 0.005
+_SHORTEST_S = 1e-9
 _TOLD_S = 2.0
 """So long the operator reads what went wrong with the hand."""
 
@@ -214,6 +214,7 @@ class HandControl:
             StagePoint(base.x_um + offset[0], base.y_um + offset[1], base.z_um + offset[2]),
             (0.0, 0.0, 0.0) if quiet else self._smooth.velocity_um_per_s,
             self._speed_um_per_s,
+            GENTLE,
         )
 
     def _open_clutch(self) -> None:
@@ -239,7 +240,8 @@ class HandControl:
     def _advance(self, now_s: float) -> None:
         """Smooth up to a moment, or up to where a silent hand was last believed to move."""
         until_s = min(now_s, self._received_s + self._config.quiet_s)
-        while self._engaged and until_s - self._smoothed_s > 1e-9:
-            step_s = min(until_s - self._smoothed_s, _SLICE_S)
+        while self._engaged and until_s - self._smoothed_s > _SHORTEST_S:
+            # The goal's course has a bend where it arrives at the newest pose.
+            step_s = min(until_s - self._smoothed_s, self._path.sliding_s or math.inf)
             self._smooth.advance(self._path.slide(step_s), step_s)
             self._smoothed_s += step_s

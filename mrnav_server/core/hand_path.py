@@ -91,8 +91,13 @@ class HandPath:
         self._add((right, back, up), elapsed_s, waited_s)
         return False
 
+    @property
+    def sliding_s(self) -> float:
+        """How long the goal is still on its way to the newest pose; 0 where it has arrived."""
+        return self._slide_s
+
     def slide(self, dt_s: float) -> tuple[float, float, float]:
-        """Let the goal move on evenly towards the newest pose; return its middle on that way.
+        """Let the goal move on evenly towards the newest pose, and return it.
 
         Thirty poses a second are thirty steps a second: unless they become slopes again, the setpoint's jerk
         limit is busy with the steps, and tremor passes.
@@ -101,11 +106,10 @@ class HandPath:
             dt_s: How much time passes.
         """
         share = min(1.0, dt_s / self._slide_s) if self._slide_s > 0.0 else 1.0
-        before = self._slid_um
-        x, y, z = (a + share * (b - a) for a, b in zip(before, self._goal_um, strict=True))
+        x, y, z = (a + share * (b - a) for a, b in zip(self._slid_um, self._goal_um, strict=True))
         self._slid_um = (x, y, z)
         self._slide_s = max(self._slide_s - dt_s, 0.0)
-        return (0.5 * (before[0] + x), 0.5 * (before[1] + y), 0.5 * (before[2] + z))
+        return self._slid_um
 
     def _beyond_play(self, pose: HandPoint) -> tuple[float, float, float]:
         """Drag the play's centre along and return how far it went, in metres."""

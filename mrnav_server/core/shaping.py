@@ -14,27 +14,6 @@ _SUBSTEP_S = 0.001
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
-    """Where the tip should be and how fast it should move there.
-
-    Attributes:
-        position: In the stage frame.
-        velocity_um_per_s: Feed-forward, stage x, y, z.
-        speed_um_per_s: Speed limit of the mode.
-    """
-
-    position: StagePoint
-    velocity_um_per_s: tuple[float, float, float]
-    speed_um_per_s: float
-
-    @property
-    def finite(self) -> bool:
-        """Whether every number in it is."""
-        at = self.position
-        return all(map(math.isfinite, (at.x_um, at.y_um, at.z_um, *self.velocity_um_per_s)))
-
-
-@dataclass(frozen=True, slots=True)
 class ShaperGains:
     """Gains of the servo inside the shaper.
 
@@ -43,10 +22,42 @@ class ShaperGains:
         velocity_per_s: Velocity error to acceleration.
     """
 
-    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
+    position_per_s: float
+    velocity_per_s: float
 
-    position_per_s: float = 20.0
-    velocity_per_s: float = 60.0
+
+FIRM = ShaperGains(20.0, 60.0)
+"""For a reference that keeps within the limits, as a planned one does."""
+GENTLE = ShaperGains(8.0, 40.0)
+"""For a reference that does not, as that of a hand under a headset's errors.
+
+Its jerk is several times the limit, so the acceleration is late however large its gain is. A firm pull on
+the position then swings, and makes four times as much of the errors at 2 to 3 Hz, where the robot rings. The
+velocity's feed-forward keeps a steady hand from being late.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Where the tip should be and how fast it should move there.
+
+    Attributes:
+        position: In the stage frame.
+        velocity_um_per_s: Feed-forward, stage x, y, z.
+        speed_um_per_s: Speed limit of the mode.
+        gains: How firmly the setpoint is drawn there.
+    """
+
+    position: StagePoint
+    velocity_um_per_s: tuple[float, float, float]
+    speed_um_per_s: float
+    gains: ShaperGains = FIRM
+
+    @property
+    def finite(self) -> bool:
+        """Whether every number in it is."""
+        at = self.position
+        return all(map(math.isfinite, (at.x_um, at.y_um, at.z_um, *self.velocity_um_per_s)))
 
 
 class Shaper:
@@ -54,12 +65,10 @@ class Shaper:
 
     Args:
         limits: Speed, acceleration and jerk bounds.
-        gains: Servo gains.
     """
 
-    def __init__(self, limits: Limits, gains: ShaperGains | None = None) -> None:
+    def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._gains = gains or ShaperGains()
         self._p = [0.0, 0.0, 0.0]
         self._v = [0.0, 0.0, 0.0]
         self._a = [0.0, 0.0, 0.0]
@@ -128,7 +137,7 @@ class Shaper:
         return self.position
 
     def _substep(self, h_s: float, elapsed_s: float, reference: Reference | None) -> None:
-        limits, gains = self._limits, self._gains
+        limits, gains = self._limits, FIRM if reference is None else reference.gains
         wanted = _wanted_velocity(self._p, elapsed_s, reference, gains.position_per_s, limits)
         ax = gains.velocity_per_s * (wanted[0] - self._v[0])
         ay = gains.velocity_per_s * (wanted[1] - self._v[1])

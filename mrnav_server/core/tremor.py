@@ -54,18 +54,19 @@ class TremorFilter:
         return (x, y, z)
 
     def advance(self, goal_um: tuple[float, float, float], dt_s: float) -> None:
-        """Let time pass towards a goal that stands still meanwhile.
+        """Let time pass in which the goal moves evenly from where it was to a new place.
 
         Args:
-            goal_um: Where the unsmoothed hand is.
-            dt_s: How long, not below 0.
+            goal_um: Where the unsmoothed hand is in the end.
+            dt_s: How long, above 0.
         """
-        self._goal_um = goal_um
+        before_um, self._goal_um = self._goal_um, goal_um
         for k, pole in enumerate(self._poles):
             decay = cmath.exp(pole * dt_s)
-            gained = (decay - 1.0) / pole
-            for axis, goal in zip(self._states, goal_um, strict=True):
-                axis[k] = decay * axis[k] + gained * goal
+            held = (decay - 1.0) / pole
+            moved = (held / dt_s - 1.0) / pole
+            for axis, before, goal in zip(self._states, before_um, goal_um, strict=True):
+                axis[k] = decay * axis[k] + held * before + moved * (goal - before)
 
 
 def response(tremor_hz: float, frequency_hz: float) -> complex:

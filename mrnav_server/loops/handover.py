@@ -10,11 +10,11 @@ from typing import Literal
 
 from mrnav_server.core.frames import StagePoint
 from mrnav_server.core.moving_mean import MovingMean
-from mrnav_server.core.shaping import Reference, ShaperGains
+from mrnav_server.core.shaping import GENTLE, Reference
 from mrnav_server.loops.coast import Coast, Vector3
 from mrnav_server.loops.sharing import SharingConfig
 
-_LAG_S = 1.0 / ShaperGains().velocity_per_s
+_LAG_S = 1.0 / GENTLE.velocity_per_s
 """The shaper takes so long to answer a change of velocity: it is told of the fade that much earlier."""
 
 
@@ -108,7 +108,7 @@ class Blend:
 
     def authority(self, now_s: float) -> float:
         """Return the hand's share, 0 to 1."""
-        return _eased(self._share(now_s, self._config.blend_s))
+        return eased(self._share(now_s, self._config.blend_s))
 
     @property
     def rest_point(self) -> StagePoint:
@@ -137,12 +137,13 @@ class Blend:
         self._smooth.add((*self._moved_um, alpha * hx, alpha * hy, alpha * hz), now_s)
         x, y, z, vx, vy, vz = self._smooth.mean(self._smooth_s(now_s), now_s)
         at, (dx, dy, dz) = self._coast.at(self._gone_um(u))
-        left = 1.0 - _eased(self._share(now_s + _LAG_S, self._fade_s))
+        left = 1.0 - eased(self._share(now_s + _LAG_S, self._fade_s))
         speed = left * self._coast.speed_um_per_s
         return Reference(
             StagePoint(at.x_um + x, at.y_um + y, at.z_um + z),
             (speed * dx + vx, speed * dy + vy, speed * dz + vz),
             speed_um_per_s,
+            GENTLE,
         )
 
     def _share(self, now_s: float, span_s: float) -> float:
@@ -153,14 +154,15 @@ class Blend:
     def _smooth_s(self, now_s: float) -> float:
         """Return over how long the hand is averaged: all the time at first, and not at all in the end."""
         config = self._config
-        return config.smooth_s * (1.0 - _eased(self._share(now_s - config.blend_s, config.settle_s)))
+        return config.smooth_s * (1.0 - eased(self._share(now_s - config.blend_s, config.settle_s)))
 
     def _gone_um(self, u: float) -> float:
         """Return how far the fading motion has come: ∫(1 - α) = u - u³ + u⁴/2."""
         return self._coast.speed_um_per_s * self._fade_s * (u - u**3 + u**4 / 2.0)
 
 
-def _eased(u: float) -> float:
+def eased(u: float) -> float:
+    """Return the authority that has passed after a share u of the time, both 0 to 1."""
     return u * u * (3.0 - 2.0 * u)
 
 

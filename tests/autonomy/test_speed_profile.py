@@ -38,6 +38,14 @@ def test_a_short_path_is_driven_gently() -> None:
     assert limit.max() == 1500.0
 
 
+def test_it_brakes_gently_before_the_operator_takes_over() -> None:
+    points_um, tangents = straight(10_000.0)
+    limit = speed_limits_um_per_s(points_um, tangents, roomy(points_um), LEAD_UM, CONFIG, handover_um=2500.0)
+    assert limit[-251:-100] == pytest.approx(1200.0)
+    before = limit[-470:-420]
+    assert -np.diff(before**2) / (2 * 10.0) == pytest.approx(CONFIG.handover_along_um_per_s2, rel=1e-9)
+
+
 def test_near_the_wall_the_robot_slows_down() -> None:
     points_um, tangents = straight(10_000.0)
     limit = speed_limits_um_per_s(points_um, tangents, np.full(len(points_um), 40.0), LEAD_UM, CONFIG)

@@ -54,6 +54,35 @@ def test_the_tip_follows_within_fifty_milliseconds() -> None:
     assert total_ms < 50.0
 
 
+def test_its_velocity_is_the_slope_of_its_places() -> None:
+    hand = engaged(HandConfig(dead_band_um=0.0))
+    speeds = []
+    for k in range(2, 240):
+        if k % 2 == 0:
+            hand.on_sample(sample(k / 60, 0.04 * k / 60))
+        for part in range(7):
+            reference = hand.reference((k + part / 7) / 60)
+            assert reference is not None
+            speeds.append(reference.velocity_um_per_s[0])
+    assert np.mean(speeds[-1400:]) == pytest.approx(1600.0, rel=0.005)
+
+
+def test_a_headsets_errors_do_not_set_the_setpoint_swinging() -> None:
+    """Their jerk is beyond the limit: a setpoint that is drawn too firmly swings about the reference."""
+    hand, shaper, rng = engaged(), Shaper(LIMITS), np.random.default_rng(3)
+    shaper.reset(BASE)
+    drift_m, away_um = 0.0, []
+    for k in range(1, 1500):
+        now_s = k / 100
+        if k % 3 == 0:
+            drift_m += 0.3e-3 * rng.normal()
+            hand.on_sample(sample(now_s, 0.025 * now_s + drift_m + 0.5e-3 * rng.normal()))
+        reference = hand.reference(max(now_s, 1 / 30))
+        assert reference is not None
+        away_um.append(shaper.step(0.01, reference).x_um - reference.position.x_um)
+    assert np.std(away_um[100:]) < 40.0
+
+
 @pytest.mark.parametrize("hand_um_per_s", [200.0, 1000.0, 70_000.0])
 def test_nothing_is_lost_of_a_hand_below_the_bound_however_slow(hand_um_per_s: float) -> None:
     run = ride(lambda t_s: 1e-6 * hand_um_per_s * t_s, HandConfig(), 6.0)

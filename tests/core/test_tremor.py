@@ -24,8 +24,8 @@ def test_slow_motion_passes_whole_and_soon() -> None:
 def test_many_short_steps_are_one_long_one() -> None:
     once, often = TremorFilter(), TremorFilter()
     once.advance((100.0, 0.0, -5.0), 0.033)
-    for _ in range(33):
-        often.advance((100.0, 0.0, -5.0), 0.001)
+    for k in range(1, 34):
+        often.advance((100.0 * k / 33, 0.0, -5.0 * k / 33), 0.001)
     assert often.position_um == pytest.approx(once.position_um)
     assert often.velocity_um_per_s == pytest.approx(once.velocity_um_per_s)
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrnav_server.autonomy.path import PathPlanner
-from mrnav_server.core.frames import StagePoint
+from mrnav_server.core.frames import StagePoint, VesselPoint
 from mrnav_server.core.limits import Limits
 from mrnav_server.core.modes import Ask, Mode
 from mrnav_server.core.shaping import Reference
@@ -121,6 +121,17 @@ def test_a_clutch_that_was_opened_meanwhile_is_a_new_zero() -> None:
 def test_nonsense_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         HandoverConfig(**{name: -1.0})  # type: ignore[arg-type]
+
+
+def test_the_way_ahead_begins_where_the_path_is_nearest(bifurcation: VesselMap, planner: PathPlanner) -> None:
+    rig = handing_over(bifurcation, planner, HandoverConfig())
+    path = rig.autopilot.path_px
+    middle = VesselPoint(*path[len(path) // 2])
+    ahead = rig.autopilot.ahead(VesselPoint(middle.x_px + 1.0, middle.y_px - 1.0))
+    assert math.hypot(ahead[0].x_px - middle.x_px, ahead[0].y_px - middle.y_px) < 4.0
+    assert math.hypot(ahead[-1].x_px - path[-1][0], ahead[-1].y_px - path[-1][1]) < 15.0
+    rig.autopilot.end()
+    assert rig.autopilot.ahead(middle) == []
 
 
 def test_it_is_announced_once_and_in_time(bifurcation: VesselMap, planner: PathPlanner) -> None:
