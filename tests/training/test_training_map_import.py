@@ -30,7 +30,7 @@ def image(tmp_path: Path) -> Path:
 
 def test_a_model_is_a_folder_that_loads(image: Path, tmp_path: Path) -> None:
     done = import_map(image, 20.0, tmp_path / "model")
-    assert sorted(path.name for path in done.folder.iterdir()) == ["mask.png", "model.json", PREVIEW_FILE]
+    assert sorted(path.name for path in done.folder.iterdir()) == ["mask.png", "model.json", PREVIEW_FILE, "report.json"]
     loaded = load_vessel_model(done.folder)
     assert (loaded.name, loaded.size_px, loaded.um_per_px) == ("straight-vessel-1", 1200, 10.0)
     assert loaded.digest == done.report.vessel.digest
