@@ -43,9 +43,9 @@ class HandoverConfig:
 
     style: Literal["blended", "stop", "paper"] = "blended"
     announce_s: float = 1.5
-    blend_s: float = 0.8
-    smooth_s: float = 0.12
-    settle_s: float = 5.0
+    blend_s: float = 1.0
+    smooth_s: float = 0.2
+    settle_s: float = 3.0
     carry_um: float = 500.0
     require_robot: bool = True
     rest_below_um: float = 250.0

@@ -71,7 +71,7 @@ def test_the_policys_motion_ends_within_its_bounds(
 
 
 def test_the_hand_moves_the_tip_by_its_share_and_wholly_in_the_end() -> None:
-    blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(smooth_s=0.0), 500.0, 0.0)
+    blend = Blend(AT, (0.0, 0.0, 0.0), HandoverConfig(blend_s=0.8, smooth_s=0.0), 500.0, 0.0)
     blend.reference(by_hand(7000.0), 0.0, SPEED)
     half = blend.reference(by_hand(7100.0), 0.4, SPEED)
     assert half is not None
@@ -100,7 +100,7 @@ def test_the_hand_is_averaged_at_first_and_not_in_the_end() -> None:
 
 def test_the_policys_motion_goes_on_along_its_way() -> None:
     way_um = [(100.0, 0.0), (0.0, 1000.0)]
-    blend = Blend(AT, (1000.0, 0.0, 0.0), HandoverConfig(), 500.0, 0.0, way_um)
+    blend = Blend(AT, (1000.0, 0.0, 0.0), HandoverConfig(blend_s=0.8), 500.0, 0.0, way_um)
     assert blend.rest_point.array() == pytest.approx([1100.0, 2300.0, 3000.0])
     bent = blend.reference(None, 0.4, SPEED)
     assert bent is not None
@@ -151,7 +151,7 @@ def test_the_policy_slows_before_the_area_and_fades_out_inside(
     rig.advance_until(Mode.MANUAL, 20.0)
     assert shaper.speed_um_per_s < 1700.0
     authority = []
-    for _ in range(100):
+    for _ in range(120):
         authority.append(rig.control.authority(rig.now_s))
         rig.tick()
     assert authority[0] < 0.01
