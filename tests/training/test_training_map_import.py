@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from mrnav_server.core.errors import ConfigError
-from mrnav_server.training.map_import import PREVIEW_FILE, import_map
+from mrnav_server.training.map_import import PREVIEW_FILE, REPORT_FILE, import_map
 from mrnav_server.training.map_report import map_report
 from mrnav_server.training.random_vessels import generate_random
 from mrnav_server.training.train import train
@@ -30,7 +30,8 @@ def image(tmp_path: Path) -> Path:
 
 def test_a_model_is_a_folder_that_loads(image: Path, tmp_path: Path) -> None:
     done = import_map(image, 20.0, tmp_path / "model")
-    assert sorted(path.name for path in done.folder.iterdir()) == ["mask.png", "model.json", PREVIEW_FILE, "report.json"]
+    files = sorted(path.name for path in done.folder.iterdir())
+    assert files == ["mask.png", "model.json", PREVIEW_FILE, REPORT_FILE]
     loaded = load_vessel_model(done.folder)
     assert (loaded.name, loaded.size_px, loaded.um_per_px) == ("straight-vessel-1", 1200, 10.0)
     assert loaded.digest == done.report.vessel.digest
