@@ -13,6 +13,7 @@ PIP_FLAGS ?=
 PIP := $(PY) -m pip --disable-pip-version-check install --quiet $(PIP_FLAGS)
 # Processes and browsers in real time: one after another, and nothing beside them.
 REAL_TIME := tests/clients tests/devices tests/e2e tests/faults
+CHANCES := --reruns 2 --reruns-delay 1
 # The first interpreter that is new enough.
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
@@ -31,9 +32,10 @@ demo: $(VENV)/.installed ## Let a simulated operator do one semi-autonomous tria
 test: $(VENV)/.installed-test ## Run all checks and all tests but the slow ones
 	@.ci/need 'chromium|chromium-browser|google-chrome' chromium
 	$(MAKE) check
-# More chances, since a busy machine may stop any process for a second. What is broken fails each time.
-	$(PY) -m pytest --reruns 2 --reruns-delay 1 --numprocesses logical --maxprocesses 8 --dist loadfile $(REAL_TIME:%=--ignore %)
-	$(PY) -m pytest --reruns 2 --reruns-delay 1 $(REAL_TIME)
+# Devices mostly wait, so two at a time do not disturb each other. More chances, since a busy machine may stop any process for a second. What is broken fails each time.
+	$(PY) -m pytest $(CHANCES) --numprocesses logical --maxprocesses 8 --dist loadfile $(REAL_TIME:%=--ignore %)
+	$(PY) -m pytest $(CHANCES) --numprocesses logical --maxprocesses 2 --dist loadfile tests/devices
+	$(PY) -m pytest $(CHANCES) $(filter-out tests/devices,$(REAL_TIME))
 
 check: $(VENV)/.installed-test check-static ## Format, lint, types, layers, pages
 	$(BIN)/ruff format --check .
