@@ -84,3 +84,16 @@ function refusal(status, text) {
 export function explain(error) {
   return error instanceof Error ? error.message : String(error);
 }
+
+/**
+ * Whether the server no longer knows who this is: a refused socket does not say why, the REST interface does.
+ * @returns {Promise<boolean>}
+ */
+export async function isSignedOut() {
+  try {
+    await request("GET", "/state");
+    return false;
+  } catch (error) {
+    return error instanceof ApiError && (error.status === 401 || error.status === 403);
+  }
+}

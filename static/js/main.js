@@ -3,7 +3,7 @@
  * @module
  */
 
-import { ApiError, request, useSession } from "./api.js";
+import { isSignedOut, useSession } from "./api.js";
 import { Areas } from "./areas.js";
 import { Calibration } from "./calibration.js";
 import { Charts } from "./charts.js";
@@ -193,14 +193,8 @@ function onLink(next, everOpened) {
   show();
 }
 
-/** A refused socket does not say why; the REST interface does. */
 async function probeSession() {
-  try {
-    await request("GET", "/state");
-    signedOut = false;
-  } catch (error) {
-    signedOut = error instanceof ApiError && (error.status === 401 || error.status === 403);
-  }
+  signedOut = await isSignedOut();
 }
 
 function isFresh() {

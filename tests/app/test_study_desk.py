@@ -11,29 +11,11 @@ import pytest
 from mrnav_server.app.server import create_app
 from mrnav_server.app.study_desk import StudyDesk
 from mrnav_server.core.errors import RefusedError
-from mrnav_server.loops.trial_log import LOG_NAME, Condition, OperatorKind, TrialHeader, header_line, log_line
+from mrnav_server.loops.trial_log import LOG_NAME, Condition, OperatorKind, header_line, log_line
 from mrnav_server.study.plan import new_plan
 from mrnav_server.study.study_folder import StudyFolder
 from tests.app.fake_rig import OPERATOR_TOKEN, SETTINGS, FakeRig
-
-
-def header(participant: str, condition: Condition) -> TrialHeader:
-    return TrialHeader(
-        participant=participant,
-        condition=condition,
-        operator_kind="human",
-        simulated_rig=True,
-        software_version="1",
-        configuration_sha256="",
-        vessel="bifurcation",
-        vessel_sha256="",
-        um_per_px=10.0,
-        calibration={},
-        start_px=None,
-        area_id=None,
-        area_px=None,
-        area_epsilon_um=None,
-    )
+from tests.trial_headers import bare_header
 
 
 class LoggedTrials:
@@ -53,7 +35,9 @@ class LoggedTrials:
     ) -> dict[str, Any]:
         trial_id = f"20261122-174500-{next(self._numbers):03d}-{participant}"
         (self._root / trial_id).mkdir(parents=True)
-        self._log(trial_id).write_bytes(header_line(trial_id, header(participant, condition)))
+        self._log(trial_id).write_bytes(
+            header_line(trial_id, bare_header(participant, condition, "bifurcation"))
+        )
         self.begun.append((participant, condition, operator_kind))
         return {"id": trial_id}
 

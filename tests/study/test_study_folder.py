@@ -7,27 +7,13 @@ from pathlib import Path
 import pytest
 
 from mrnav_server.core.errors import ConfigError
-from mrnav_server.loops.trial_log import LOG_NAME, TrialHeader, header_line, log_line
+from mrnav_server.loops.trial_log import LOG_NAME, header_line, log_line
 from mrnav_server.study.demographics import Demographics, keep_demographics, read_demographics
 from mrnav_server.study.plan import new_plan
 from mrnav_server.study.study_folder import PROGRESS_NAME, StudyFolder
+from tests.trial_headers import bare_header
 
-HEADER = TrialHeader(
-    participant="P01",
-    condition="with_autonomy",
-    operator_kind="human",
-    simulated_rig=True,
-    software_version="1",
-    configuration_sha256="",
-    vessel="a",
-    vessel_sha256="",
-    um_per_px=10.0,
-    calibration={},
-    start_px=None,
-    area_id=None,
-    area_px=None,
-    area_epsilon_um=None,
-)
+HEADER = bare_header("P01", "with_autonomy", "a")
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@
 /// <reference types="webxr" />
 
 import { WebGLRenderer } from "three";
-import { ApiError, explain, request, useSession } from "../api.js";
+import { explain, isSignedOut, request, useSession } from "../api.js";
 import { byId, icon, make, setText } from "../dom.js";
 import { Messages } from "../messages.js";
 import { StopButton } from "../stop.js";
@@ -120,14 +120,8 @@ function onLink(next, everOpened) {
   }
 }
 
-/** A refused socket does not say why; the REST interface does. */
 async function probeSession() {
-  try {
-    await request("GET", "/state");
-    signedOut = false;
-  } catch (error) {
-    signedOut = error instanceof ApiError && (error.status === 401 || error.status === 403);
-  }
+  signedOut = await isSignedOut();
 }
 
 /** Answer the operator, in the room or on the page. @param {string} text */
