@@ -11,7 +11,7 @@ PY := $(BIN)/python
 # More options for pip, for example an index that has torch built for the CPU alone.
 PIP_FLAGS ?=
 PIP := $(PY) -m pip --disable-pip-version-check install --quiet $(PIP_FLAGS)
-# Processes and browsers in real time: one after another, and nothing beside them.
+# Processes, browsers and the vendor's library (one UDP port for all) in real time: one after another.
 REAL_TIME := tests/clients tests/devices tests/e2e tests/faults
 CHANCES := --reruns 2 --reruns-delay 1
 # The first interpreter that is new enough.
@@ -32,10 +32,9 @@ demo: $(VENV)/.installed ## Let a simulated operator do one semi-autonomous tria
 test: $(VENV)/.installed-test ## Run all checks and all tests but the slow ones
 	@.ci/need 'chromium|chromium-browser|google-chrome' chromium
 	$(MAKE) check
-# Devices mostly wait, so two at a time do not disturb each other. More chances, since a busy machine may stop any process for a second. What is broken fails each time.
+# More chances, since a busy machine may stop any process for a second. What is broken fails each time.
 	$(PY) -m pytest $(CHANCES) --numprocesses logical --maxprocesses 8 --dist loadfile $(REAL_TIME:%=--ignore %)
-	$(PY) -m pytest $(CHANCES) --numprocesses logical --maxprocesses 2 --dist loadfile tests/devices
-	$(PY) -m pytest $(CHANCES) $(filter-out tests/devices,$(REAL_TIME))
+	$(PY) -m pytest $(CHANCES) $(REAL_TIME)
 
 check: $(VENV)/.installed-test check-static ## Format, lint, types, layers, pages
 	$(BIN)/ruff format --check .
