@@ -46,6 +46,12 @@ async def replace_area(parts: Context, area_id: str, body: AreaBody, _: Operator
     return area_fields(area, _active(parts), parts.rig.areas.visited)
 
 
+@router.post("/{area_id}/choose", status_code=204)
+async def choose_area(parts: Context, area_id: str, _: Operator) -> None:
+    """Make an area the goal, also of a trial that is steered by hand; 409 while autonomy drives."""
+    parts.rig.console.choose_area(area_id)
+
+
 @router.delete("/{area_id}", status_code=204)
 async def remove_area(parts: Context, area_id: str, _: Operator) -> None:
     """Forget a critical area."""

@@ -79,6 +79,17 @@ class ConsoleDesk:
         self._control.submit(ask, self._clock())
         self._publish()
 
+    def choose_area(self, area_id: str) -> None:
+        """Make a critical area the goal: of the next AUTO, and of a trial that is steered by hand.
+
+        Raises:
+            RefusedError: While the policy drives to another one, or if there is no such area.
+        """
+        area = self._areas.get(area_id)
+        if area != self._control.scene.area:
+            self._control.choose_area(area)
+            self._areas.tell()
+
     def choose_scale(self, session: str, scale: str) -> None:
         """Choose the hand's scale, "coarse" or "fine".
 

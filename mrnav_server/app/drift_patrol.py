@@ -66,4 +66,7 @@ class DriftPatrol:
             before, watch = self.warning(), self._watch
             seen = await asyncio.to_thread(watch.look, self._frames.value.image)
             if watch is self._watch and bool(seen.warning) != bool(before):
-                self._announce("fault", {"reason": seen.warning or "the vessel is where it was"})
+                if seen.warning:
+                    self._announce("fault", {"reason": seen.warning})
+                else:
+                    self._announce("recovered", {"reason": "the vessel is where it was"})

@@ -171,8 +171,8 @@ class _Tape:
                 self._mark(now_s, "handover", _HANDOVERS.get(data["by"], "Handed over"))
             case "contact":
                 self._mark(now_s, "contact", f"Wall contact {data['count']}")
-            case "fault":
-                self._mark(now_s, "fault", data["reason"])
+            case "fault" | "recovered" as kind:
+                self._mark(now_s, kind, data["reason"])
 
     def _authority(self, now_s: float) -> float:
         """Return the hand's share; NaN where hand and policy drove together, which the log does not hold."""

@@ -80,7 +80,7 @@ class Rig:
         report: Report = trial_report,
     ) -> None:
         self.settings = settings
-        self._clock = clock
+        self._clock, self._sleep = clock, sleep
         self._root = Path(settings.recording.root).absolute()
         self._recorder = Recorder(self._root, clock, settings.recording)
         self.events = EventBus()
@@ -351,7 +351,13 @@ class Rig:
     async def _run_loops(self, started: asyncio.Event) -> None:
         """Run every loop until cancelled, or until one fails."""
         tracking = TrackingLoop(
-            self.bench.camera, self._tracker, self._on_track, self._on_camera, self._frame_watch, self._clock
+            self.bench.camera,
+            self._tracker,
+            self._on_track,
+            self._on_camera,
+            self._frame_watch,
+            self._clock,
+            self._sleep,
         )
         try:
             async with asyncio.TaskGroup() as group:
@@ -527,7 +533,10 @@ class Rig:
 
     def _on_camera(self, fault: str) -> None:
         self._camera_fault = fault
-        self.herald.announce("fault", {"reason": fault or "the camera works again"})
+        if fault:
+            self.herald.announce("fault", {"reason": fault})
+        else:
+            self.herald.announce("recovered", {"reason": "the camera works again"})
 
     def _authorize(self, token: str) -> str | None:
         role = self._tokens.role(token)

@@ -68,6 +68,9 @@ class Console(Protocol):
     def choose_scale(self, session: str, scale: str) -> None:
         """Choose the hand's scale."""
 
+    def choose_area(self, area_id: str) -> None:
+        """Make a critical area the goal."""
+
     async def ask(self, name: str, session: str, area: str | None) -> None:
         """Ask for a mode."""
 

@@ -89,6 +89,7 @@ class TipPatrol:
                 resting=resting and not tip.moving,
             )
             if watch is self._watch and bool(seen.warning) != bool(warned):
-                self._announce(
-                    "fault", {"reason": seen.warning or "the tip is where the calibration puts it"}
-                )
+                if seen.warning:
+                    self._announce("fault", {"reason": seen.warning})
+                else:
+                    self._announce("recovered", {"reason": "the tip is where the calibration puts it"})

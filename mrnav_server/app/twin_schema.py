@@ -291,9 +291,16 @@ class Contact(_Event):
 
 
 class Fault(_Event):
-    """Something is wrong, or right again."""
+    """Something is wrong."""
 
     event: Literal["fault"]
+    reason: str
+
+
+class Recovered(_Event):
+    """Something that was wrong is right again."""
+
+    event: Literal["recovered"]
     reason: str
 
 
@@ -456,6 +463,7 @@ TwinEvent = (
     | Handover
     | Contact
     | Fault
+    | Recovered
     | AreasEvent
     | LeaseEvent
     | HandEvent

@@ -43,6 +43,7 @@ class TrackingLoop:
             once it works again.
         watch: Looks at every frame; None to take them as they come.
         clock: The clock of the frames' capture times.
+        sleep: How a thread waits for a time in seconds, by that clock.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class TrackingLoop:
         on_camera: Callable[[str], None],
         watch: CameraWatch | None = None,
         clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self._camera = camera
         self._tracker = tracker
@@ -60,6 +62,7 @@ class TrackingLoop:
         self._on_camera = on_camera
         self._watch = watch
         self._clock = clock
+        self._sleep = sleep
         self._told = ""
         self._ending = threading.Event()
 
@@ -97,7 +100,7 @@ class TrackingLoop:
 
     def _reopen(self, retry_s: float) -> float:
         self._camera.close()
-        while not self._ending.wait(retry_s):
+        while self._waited(retry_s):
             retry_s = min(2 * retry_s, _LAST_RETRY_S)
             try:
                 self._camera.open()
@@ -105,3 +108,11 @@ class TrackingLoop:
                 continue
             break
         return retry_s
+
+    def _waited(self, seconds: float) -> bool:
+        """Wait in short sleeps, for the loop's end waits for no retry; return whether it still runs."""
+        for _ in range(round(seconds / _FIRST_RETRY_S)):
+            if self._ending.is_set():
+                return False
+            self._sleep(_FIRST_RETRY_S)
+        return not self._ending.is_set()

@@ -25,6 +25,7 @@ export class Areas {
   /** @type {VesselPoint[]} */ #suggested = [];
   /** @type {CriticalArea[]} */ all = [];
   /** @type {string | null} */ chosenId = null;
+  /** Whether autonomy is on its way. */ driving = false;
   /** Where Auto goes if nothing else is chosen. @type {string | null} */ #nextId = null;
 
   /**
@@ -74,11 +75,18 @@ export class Areas {
     });
   }
 
-  /** Choose where Auto goes. @param {string} id */
+  /** Choose the goal: where Auto goes, and what a trial by hand is measured against. @param {string} id */
   choose(id) {
     this.chosenId = id;
     this.#render();
     this.#onChange();
+    // Autonomy on its way keeps its goal; it is told the choice when it is asked for the next time.
+    if (this.#mayEdit && !this.driving) void this.#try(() => this.#tellChoice(id));
+  }
+
+  /** @param {string} id */
+  async #tellChoice(id) {
+    await request("POST", `/critical-areas/${encodeURIComponent(id)}/choose`);
   }
 
   /** Mark, move or size an area as it was drawn on the picture. @param {Draft} draft */
@@ -98,6 +106,7 @@ export class Areas {
       const area = /** @type {CriticalArea} */ (await request("POST", "/critical-areas", body));
       this.chosenId = area.id;
       this.#messages.clear();
+      if (!this.driving) await this.#tellChoice(area.id);
       await this.#refresh();
     });
     this.#busy = false;

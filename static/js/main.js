@@ -182,6 +182,9 @@ function onEvent(event) {
     case "fault":
       messages.report(event.reason, "warning");
       break;
+    case "recovered":
+      messages.report(event.reason, "info");
+      break;
   }
 }
 
@@ -227,6 +230,7 @@ function show() {
   showBanner(fresh, videoLive);
   charts.add(now_ms / 1000, fresh ? state : null);
   if (!snapshot || !state) return;
+  areas.driving = state.mode === "AUTO";
   const { role, chief, seat: session } = snapshot;
   const elsewhere = siblings.include(state.lease.console);
   const known = { role, session, chief, elsewhere, state, chosen: areas.chosen, fresh };

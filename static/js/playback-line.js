@@ -36,6 +36,7 @@ export const SIGNS = /** @type {Record<MarkKind, {sign: string, color: string}>}
   handover: { sign: "H", color: COLORS.hand },
   contact: { sign: "✕", color: COLORS.warning },
   fault: { sign: "!", color: COLORS.warning },
+  recovered: { sign: "✓", color: COLORS.text },
   stop: { sign: "■", color: COLORS.warning },
   reached: { sign: "◆", color: COLORS.area },
 });

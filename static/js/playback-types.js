@@ -5,7 +5,7 @@
 
 /** @import { Mode, Pair } from "./types.js" */
 
-/** @typedef {"arm" | "auto" | "announced" | "handover" | "contact" | "fault" | "stop" | "go" | "reached"} MarkKind */
+/** @typedef {"arm" | "auto" | "announced" | "handover" | "contact" | "fault" | "recovered" | "stop" | "go" | "reached"} MarkKind */
 /** @typedef {{t_s: number, kind: MarkKind, text: string}} Mark */
 /** @typedef {{t_s: number, mode: Mode | "", reason: string}} Stretch From here on, until the next one. */
 /** @typedef {{t_s: number, id: string | null, center_px: Pair, epsilon_um: number | null, label: string}} Goal */

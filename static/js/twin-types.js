@@ -87,7 +87,7 @@
  */
 
 /**
- * Something is wrong, or right again.
+ * Something is wrong.
  * @typedef {object} Fault
  * @property {"event"} type
  * @property {number} t When, on the server's monotonic clock, in seconds.
@@ -264,6 +264,15 @@
  */
 
 /**
+ * Something that was wrong is right again.
+ * @typedef {object} Recovered
+ * @property {"event"} type
+ * @property {number} t When, on the server's monotonic clock, in seconds.
+ * @property {"recovered"} event
+ * @property {string} reason
+ */
+
+/**
  * The vessel was registered.
  * @typedef {object} RegistrationEvent
  * @property {"event"} type
@@ -294,7 +303,7 @@
  */
 
 /**
- * @typedef {Snapshot | State | ModeEvent | HandoverAnnounced | Handover | Contact | Fault | AreasEvent | LeaseEvent | HandEvent | RegistrationEvent | CalibrationEvent | TrialStart | TrialMark | TrialEnd | RigStopped | Answer | HandLease} ServerMessage
+ * @typedef {Snapshot | State | ModeEvent | HandoverAnnounced | Handover | Contact | Fault | Recovered | AreasEvent | LeaseEvent | HandEvent | RegistrationEvent | CalibrationEvent | TrialStart | TrialMark | TrialEnd | RigStopped | Answer | HandLease} ServerMessage
  */
 
 /**
@@ -421,7 +430,7 @@
  */
 
 /**
- * @typedef {ModeEvent | HandoverAnnounced | Handover | Contact | Fault | AreasEvent | LeaseEvent | HandEvent | RegistrationEvent | CalibrationEvent | TrialStart | TrialMark | TrialEnd | RigStopped} TwinEvent
+ * @typedef {ModeEvent | HandoverAnnounced | Handover | Contact | Fault | Recovered | AreasEvent | LeaseEvent | HandEvent | RegistrationEvent | CalibrationEvent | TrialStart | TrialMark | TrialEnd | RigStopped} TwinEvent
  */
 
 /**

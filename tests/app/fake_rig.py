@@ -240,6 +240,9 @@ class FakeRig:
     def give_lease(self, session: str) -> None:
         self._note("give_lease", session)
 
+    def choose_area(self, area_id: str) -> None:
+        self._note("choose_area", area_id)
+
     def choose_scale(self, session: str, scale: str) -> None:
         self._note("choose_scale", session, scale)
 

@@ -42,6 +42,7 @@ ROUTES: dict[tuple[str, str], tuple[str, Any, int]] = {
     ("POST", "/api/v1/critical-areas"): (CONTROL, AREA, 201),
     ("PUT", "/api/v1/critical-areas/{area_id}"): (CONTROL, AREA, 200),
     ("PUT", "/api/v1/critical-areas"): (CONTROL, {"order": ["area-1"]}, 200),
+    ("POST", "/api/v1/critical-areas/{area_id}/choose"): (CONTROL, None, 204),
     ("DELETE", "/api/v1/critical-areas/{area_id}"): (CONTROL, None, 204),
     ("POST", "/api/v1/hand"): (CONTROL, {"scale": "fine"}, 200),
     ("POST", "/api/v1/mode"): (CONTROL, {"ask": "arm"}, 200),

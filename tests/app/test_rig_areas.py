@@ -8,6 +8,7 @@ import pytest
 from mrnav_server.app.rig import Rig
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.modes import Mode, Transition
+from mrnav_server.loops.trial_log import TrialHeader
 from mrnav_server.settings import Settings
 
 
@@ -61,3 +62,28 @@ async def test_an_area_that_is_named_is_gone_to_again(rig: Rig) -> None:
 async def test_a_takeover_is_no_visit(rig: Rig) -> None:
     rig._on_change(Transition(Mode.AUTO, Mode.MANUAL, ""))
     assert rig.areas.visited == frozenset()
+
+
+async def test_an_area_that_is_chosen_is_the_goal_of_a_trial_by_hand_too(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    headers: list[TrialHeader] = []
+
+    def note(header: TrialHeader, beginning: object) -> str:
+        headers.append(header)
+        return "trial-1"
+
+    monkeypatch.setattr(rig._recorder, "start_trial", note)
+    with rig.events.subscribe() as events:
+        rig.console.choose_area("area-2")
+        assert (await events.get())["next"] == "area-2"
+    rig.trials.start("P01", "without_autonomy", "human", "")
+    assert headers[0].area_id == "area-2"
+
+
+async def test_autonomy_on_its_way_keeps_its_goal(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig.control.machine, "_mode", Mode.AUTO)
+    with pytest.raises(RefusedError, match="the policy is driving"):
+        rig.console.choose_area("area-2")
+    assert rig.control.scene.area is not None
+    assert rig.control.scene.area.id == "area-1"

@@ -68,8 +68,7 @@ class Watch:
         )
 
     def tell(self, event: str, data: Mapping[str, object]) -> None:
-        assert event == "fault"
-        self.told.append(str(data["reason"]))
+        self.told.append(f"{event}: {data['reason']}")
 
     def show(self, x_um: float, *, moving: bool = False, fresh: bool = True) -> None:
         self.scene.tip = TipReading(0.0, StagePoint(x_um, 0.0, 12_000.0), moving)
@@ -140,7 +139,10 @@ async def test_a_warning_is_told_once_and_so_is_its_end(watch: Watch) -> None:
             lambda: watch.show(0.0),
         ]
     )
-    assert watch.told == ["the tip is elsewhere", "the tip is where the calibration puts it"]
+    assert watch.told == [
+        "fault: the tip is elsewhere",
+        "recovered: the tip is where the calibration puts it",
+    ]
 
 
 async def test_another_calibration_begins_anew(watch: Watch) -> None:
