@@ -11,7 +11,9 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from mrnav_server.study.plan import new_plan
 from mrnav_server.study.study_folder import StudyFolder
 from tests.e2e.conftest import CALM, came
+from tests.e2e.headset import BY_SOFTWARE
 from tests.e2e.test_e2e_dashboard import CHROMIUM, FLAGS, PATIENCE_MS
+from tests.e2e.test_e2e_twin_view import NO_3D
 from tests.rig_process import RigProcess
 
 FOLDER = Path(__file__).parent
@@ -24,8 +26,9 @@ STEPS_DONE = 25
 
 def main() -> None:
     """Drive the pages as an operator would, and take the pictures on the way."""
+    flags = [flag for flag in FLAGS if flag != NO_3D] + BY_SOFTWARE
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
         dashboard(browser)
         study_and_playback(browser)
         browser.close()
