@@ -16,6 +16,7 @@ from mrnav_server.app import (
     tlx_routes,
     training_routes,
     trials,
+    vessel_routes,
 )
 from mrnav_server.app.auth import SESSION_HEADER
 from mrnav_server.app.context import Context, Operator, Viewer, chief, operator, viewer
@@ -42,6 +43,7 @@ api.include_router(study_routes.router)
 api.include_router(registration_routes.router)
 api.include_router(calibration_routes.router)
 api.include_router(training_routes.router)
+api.include_router(vessel_routes.router)
 
 
 @health.get("/healthz")

@@ -15,6 +15,7 @@ from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.study_desk import StudyDesk
 from mrnav_server.app.training_desk import TrainingDesk
 from mrnav_server.app.twin import TwinHub
+from mrnav_server.app.vessel_desk import VesselDesk
 from mrnav_server.app.video import VideoEncoder, VideoHub
 
 
@@ -31,6 +32,7 @@ class AppContext:
         vessel_png: The vessel's mask; encoding it takes longer than a control tick.
         study: The study that it leads through; None without one.
         training: Makes vessel models and policies for pages.
+        vessels: Changes the vessel model.
     """
 
     rig: RigPort
@@ -41,6 +43,7 @@ class AppContext:
     vessel_png: bytes
     study: StudyDesk | None
     training: TrainingDesk
+    vessels: VesselDesk
 
 
 async def context(connection: HTTPConnection) -> AppContext:

@@ -134,7 +134,7 @@ class Rig:
             self.calibration,
             (self.bench.name, self._simulated_place()),
             self.frames,
-            self._check_registration,
+            self.require_idle,
             self._recalibrate,
             self.herald.announce,
         )
@@ -147,7 +147,7 @@ class Rig:
             lambda: self.simulated,
             self.control,
             self.frames,
-            self._check_registration,
+            self.require_idle,
             self._calibration_objection,
             self._page_is_silent,
             self.bench.scene,
@@ -295,6 +295,21 @@ class Rig:
             reasons.append(self.control.facts.fault)
         return reasons
 
+    def require_idle(self, session: str) -> None:
+        """Refuse what would change where the robot may go under somebody's hand.
+
+        Raises:
+            RefusedError: Without the lease, while the rig is armed, or during a trial.
+        """
+        self.console.heartbeat(session)
+        self.console.require_lease(session)
+        if self.control.machine.mode is not Mode.DISARMED:
+            raise RefusedError("armed", "the rig is armed: disarm it first")
+        if self._recorder.trial is not None:
+            raise RefusedError(
+                "trial_running", "a trial keeps the vessel and the registration it began with: end it first"
+            )
+
     def to_vessel(self, frame: str, x: float, y: float) -> VesselPoint:
         """Map a point of the vessel, image or stage frame into the vessel's grid."""
         if frame == "image":
@@ -425,19 +440,6 @@ class Rig:
     def _hold(self) -> None:
         if self.control.machine.mode in ARMED:
             self.control.submit(Ask.HOLD, self._clock())
-
-    def _check_registration(self, session: str) -> None:
-        """Refuse a registration that would change where the robot may go under somebody's hand.
-
-        Raises:
-            RefusedError: With the reason.
-        """
-        self.console.heartbeat(session)
-        self.console.require_lease(session)
-        if self.control.machine.mode is not Mode.DISARMED:
-            raise RefusedError("armed", "the rig is armed: disarm it first")
-        if self._recorder.trial is not None:
-            raise RefusedError("trial_running", "a trial keeps the registration it began with: end it first")
 
     def _calibration_objection(self, session: str) -> str:
         """Return why a session's calibration must not move the tip any more, or ""."""

@@ -199,6 +199,9 @@ class RigPort(Protocol):
     def policies(self) -> list[dict[str, Any]]:
         """Describe the policies and whether they were verified."""
 
+    def require_idle(self, session: str) -> None:
+        """Refuse what must not happen under somebody's hand; RefusedError with the reason."""
+
     def readiness(self) -> list[str]:
         """Return why the rig is not ready; empty when it is."""
 

@@ -1,6 +1,7 @@
 """The process: signals, the rig and the web server, each stopped in its turn."""
 
 import asyncio
+import gc
 import logging
 import os
 import signal
@@ -18,10 +19,12 @@ import uvicorn
 from fastapi import FastAPI
 
 from mrnav_server.app import connections
+from mrnav_server.app.context import AppContext
 from mrnav_server.app.ready import Ready, announced, own_file
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.server import create_app
 from mrnav_server.app.study_progress import LedStudy
+from mrnav_server.app.vessel_desk import BuildRig
 from mrnav_server.core.errors import ConfigError
 from mrnav_server.loops.priority import prefer_this_process
 from mrnav_server.settings import ServerConfig, Settings
@@ -42,7 +45,7 @@ class RigServer(uvicorn.Server):
 
 
 def serve(
-    build_rig: Callable[[Settings], RigPort],
+    build_rig: BuildRig,
     settings: Settings,
     announce: Callable[[Ready], None],
     ready_file: Path | None = None,
@@ -71,11 +74,8 @@ def serve(
         # The slowest to load does so while the rig is built.
         threading.Thread(target=import_module, args=(_SLOW_TO_LOAD,), name="loading", daemon=True).start()
         try:
-            asyncio.run(
-                _process(
-                    build_rig(settings), settings, listener, announce, ready_file, study, preferred=preferred
-                )
-            )
+            first = build_rig(settings)
+            asyncio.run(_rigs(first, build_rig, listener, announce, ready_file, study, preferred=preferred))
         except BaseExceptionGroup as group:
             config = group.subgroup(ConfigError)
             if config is None:
@@ -83,9 +83,9 @@ def serve(
             raise _leaf(config) from None
 
 
-async def _process(
-    rig: RigPort,
-    settings: Settings,
+async def _rigs(
+    rig: RigPort | None,
+    build_rig: BuildRig,
     listener: socket.socket,
     announce: Callable[[Ready], None],
     ready_file: Path | None,
@@ -93,18 +93,9 @@ async def _process(
     *,
     preferred: bool,
 ) -> None:
-    app = create_app(rig, settings, study)
-    server = RigServer(uvicorn_config(app, settings.server))
-    started = asyncio.Event()
+    """Run a rig until a signal ends it, or until the vessel is changed: then its successor, and so on."""
 
-    async def run_rig() -> None:
-        await rig.run(started)
-        raise RuntimeError("the rig ended by itself")
-
-    async def run_web() -> None:
-        await started.wait()
-        listener.listen()
-        ready = ready_for(settings.server, listener, rig.hand_port)
+    def tell(ready: Ready) -> None:
         try:
             files.enter_context(announced(ready, own_file()))
         except OSError as error:
@@ -114,23 +105,64 @@ async def _process(
         announce(ready)
         if not preferred:
             _log.info("the system gives the rig no preference over other programs: keep this machine idle")
-        await server.serve([listener])
 
     with _stop_signals() as stop, ExitStack() as files:
-        try:
-            async with asyncio.TaskGroup() as process:
-                moving = process.create_task(run_rig(), name="rig")
-                web = process.create_task(run_web(), name="web")
-                await stop.wait()
-                # What moves stops first; clients still see how it ends.
-                moving.cancel()
-                await asyncio.wait({moving})
-                server.should_exit = True
-                if not server.started:
-                    web.cancel()
-        finally:
-            app.state.context.training.cancel()
-            app.state.context.encoder.close()
+        while rig is not None and not stop.is_set():
+            app = create_app(rig, rig.settings, study, build_rig)
+            await _process(rig, app, listener, tell, stop)
+            tell = _told_before
+            rig = app.state.context.vessels.successor
+            # The rig before leaves a hundred megabytes; a pause holds up nothing now.
+            del app
+            gc.collect()
+
+
+def _told_before(ready: Ready) -> None:
+    """Say nothing: address and tokens are those of the rig before."""
+    _log.info("going on at port %d with another vessel", ready.port)
+
+
+async def _process(
+    rig: RigPort,
+    app: FastAPI,
+    listener: socket.socket,
+    tell: Callable[[Ready], None],
+    stop: asyncio.Event,
+) -> None:
+    """Run a rig and its server until a signal, or a change of the vessel."""
+    parts: AppContext = app.state.context
+    server = RigServer(uvicorn_config(app, rig.settings.server))
+    started = asyncio.Event()
+
+    async def run_rig() -> None:
+        await rig.run(started)
+        raise RuntimeError("the rig ended by itself")
+
+    async def run_web() -> None:
+        await started.wait()
+        listener.listen()
+        tell(ready_for(rig.settings.server, listener, rig.hand_port))
+        # The server closes what it is given; who comes between two rigs waits in the queue of the original.
+        with listener.dup() as door:
+            await server.serve([door])
+
+    try:
+        async with asyncio.TaskGroup() as process:
+            moving = process.create_task(run_rig(), name="rig")
+            web = process.create_task(run_web(), name="web")
+            reasons = [process.create_task(event.wait()) for event in (stop, parts.vessels.changed)]
+            await asyncio.wait(reasons, return_when=asyncio.FIRST_COMPLETED)
+            for reason in reasons:
+                reason.cancel()
+            # What moves stops first; clients still see how it ends.
+            moving.cancel()
+            await asyncio.wait({moving})
+            server.should_exit = True
+            if not server.started:
+                web.cancel()
+    finally:
+        parts.training.cancel()
+        parts.encoder.close()
 
 
 def uvicorn_config(app: FastAPI, config: ServerConfig) -> uvicorn.Config:

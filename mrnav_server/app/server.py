@@ -2,6 +2,7 @@
 
 import time
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,35 +15,46 @@ from mrnav_server.app import api, training_routes
 from mrnav_server.app.auth import Gate
 from mrnav_server.app.context import AppContext
 from mrnav_server.app.guards import BoundedBodies, SecurityHeaders, content_policy
+from mrnav_server.app.model_shelf import ModelShelf
 from mrnav_server.app.pages import Pages, pages_folder
 from mrnav_server.app.problems import install_problems
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.study_desk import StudyDesk
 from mrnav_server.app.study_progress import LedStudy
-from mrnav_server.app.training_desk import training_desk
+from mrnav_server.app.training_desk import TrainingDesk, training_desk
 from mrnav_server.app.twin import TwinHub
+from mrnav_server.app.vessel_desk import BuildRig, VesselDesk
 from mrnav_server.app.video import VideoHub
 from mrnav_server.settings import Settings
 
 _OPENAPI = "/api/v1/openapi.json"
 
 
-def create_app(rig: RigPort, settings: Settings, study: LedStudy | None = None) -> FastAPI:
+def create_app(
+    rig: RigPort, settings: Settings, study: LedStudy | None = None, build_rig: BuildRig | None = None
+) -> FastAPI:
     """Return the web application of a rig. Touches no device and starts nothing.
 
     Args:
         rig: The rig; it need not run yet.
         settings: Their tokens must be set (``Settings.with_tokens``).
         study: What to lead the experimenter through; None without a study.
+        build_rig: Builds a rig around another vessel model; None where the vessel stays.
     """
     app = FastAPI(
         title="mrnav-server", version=__version__, openapi_url=_OPENAPI, docs_url=None, redoc_url=None
     )
     gate = Gate(settings.server)
     _, png = cv2.imencode(".png", rig.vessel.lumen.astype(np.uint8) * 255)
-    desk = _study_desk(rig, settings, study) if study is not None else None
+    shelf = ModelShelf(Path(settings.models.root), settings.rig.vessel)
+    training = training_desk(rig, shelf)
+    leading = _study_desk(rig, settings, study) if study is not None else None
+    vessels = VesselDesk(
+        rig, shelf, build_rig, lambda: _vessel_objection(rig, training, leading), time.monotonic
+    )
+    video = VideoHub(rig.encoder)
     app.state.context = AppContext(
-        rig, gate, TwinHub(rig), rig.encoder, VideoHub(rig.encoder), png.tobytes(), desk, training_desk(rig)
+        rig, gate, TwinHub(rig), rig.encoder, video, png.tobytes(), leading, training, vessels
     )
     install_problems(app)
     for router in (api.health, api.streams, api.api):
@@ -65,6 +77,17 @@ def create_app(rig: RigPort, settings: Settings, study: LedStudy | None = None) 
 
 def _study_desk(rig: RigPort, settings: Settings, study: LedStudy) -> StudyDesk:
     return StudyDesk(study, settings.rig.vessel, rig.trials, lambda: bool(rig.areas.list()), time.monotonic)
+
+
+def _vessel_objection(rig: RigPort, training: TrainingDesk, study: StudyDesk | None) -> str:
+    """Return why the vessel must stay now, or ""."""
+    if training.running:
+        return "an import or training runs: wait for it, or cancel it"
+    if rig.calibrating.state()["phase"] != "idle":
+        return "a calibration is under way: finish or cancel it first"
+    if study is not None and study.under_way:
+        return "a step of the study is under way: finish it, or give it up"
+    return ""
 
 
 async def _docs_page(request: Request) -> HTMLResponse:

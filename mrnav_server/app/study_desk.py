@@ -50,6 +50,7 @@ class StudyDesk:
             "step": None,
             "doing": False,
             "refusal": "",
+            "other_vessel": None,
         }
         if step is None:
             return found | {"say": "All is done. mrnav study report writes the report."}
@@ -62,6 +63,7 @@ class StudyDesk:
             "trial": study.block_trial(step) if step.kind == "questionnaire" else progress.trial,
             "say": self._doing(step) if doing else self._asking(step),
             "refusal": "" if doing else self._refusal(step)[1],
+            "other_vessel": None if doing or not self._needs_other_vessel(step) else step.model,
         }
         if doing and step.kind == "training":
             found["left_s"] = max(0.0, round(study.training_s - (self._clock() - self._began_s), 1))
@@ -85,6 +87,23 @@ class StudyDesk:
         raise RefusedError(
             "study_leads", f"this server leads a study ({due}): begin its trials as steps of the study"
         )
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a step is under way."""
+        step = self._study.next_step
+        return step is not None and self._study.progress(step).status == "started"
+
+    def next_vessel(self) -> str:
+        """Return the vessel model that the next step needs in the place of the one in use.
+
+        Raises:
+            RefusedError: If it needs no other one.
+        """
+        step = self._study.next_step
+        if step is None or not self._needs_other_vessel(step):
+            raise RefusedError("same_vessel", "the next step needs no other vessel")
+        return step.model
 
     async def next(self) -> dict[str, Any]:
         """Begin the next step.
@@ -170,20 +189,20 @@ class StudyDesk:
 
     def _refusal(self, step: StudyStep) -> tuple[str, str]:
         """Return why a step cannot begin yet, as a code and in plain words; twice "" if it can."""
-        if step.kind != "questionnaire" and step.model != self._vessel:
-            return "other_vessel", (
-                f"Vessel {self._vessel} is under the microscope, {step.model} is needed: change it, end this"
-                " server and start it again with the same --study. It takes up the study there."
-            )
+        if self._needs_other_vessel(step):
+            return "other_vessel", f"This server goes by vessel {self._vessel}; {step.model} is needed."
         if step.kind == "trial" and not self._has_target():
             return "no_area", "Mark the critical area on the picture first: a trial needs a target."
         return "", ""
+
+    def _needs_other_vessel(self, step: StudyStep) -> bool:
+        return step.kind != "questionnaire" and step.model != self._vessel
 
     def _asking(self, step: StudyStep) -> str:
         """Return what the experimenter prepares."""
         if step.kind == "questionnaire":
             return f"Ask {step.code} to sit down for the questionnaire."
-        if step.model != self._vessel:
+        if self._needs_other_vessel(step):
             return f"Put vessel {step.model} under the microscope."
         how = step.condition.replace("_", " ")
         if step.kind == "training":

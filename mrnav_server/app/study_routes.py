@@ -35,6 +35,14 @@ async def interrupt_step(parts: Context, _: Operator) -> dict[str, Any]:
     return await _desk(parts).interrupt()
 
 
+@router.post("/vessel", status_code=202)
+async def change_vessel(parts: Context, principal: Operator) -> dict[str, str]:
+    """Go by the vessel model that the next step needs; needs the lease and a rig at rest. All links break."""
+    vessel = _desk(parts).next_vessel()
+    await parts.vessels.change(principal.session, vessel)
+    return {"vessel": vessel}
+
+
 def _desk(parts: Context) -> StudyDesk:
     if parts.study is None:
         raise ApiError(404, "no_study", "this server leads no study: start it with --study FOLDER")

@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 
+from mrnav_server.app.model_shelf import ModelShelf
 from mrnav_server.app.rig_port import RigPort
 from mrnav_server.app.training_job import Job
 from mrnav_server.core.errors import ConfigError, RefusedError
@@ -58,8 +59,7 @@ class TrainingDesk:
     """Runs one job at a time, whoever asks; a page that is loaded again finds it where it is.
 
     Args:
-        root: Folder that gets one folder per vessel model.
-        vessel: The vessel model in use: a name or a folder, as the settings say.
+        shelf: The models that there are; its folder gets one folder per model made here.
         live: The microscope's newest picture, and how many µm one of its pixels is.
         objection: Why nothing may be begun or changed now, or "".
         use: Has the rig go by the policy in a folder.
@@ -69,16 +69,14 @@ class TrainingDesk:
 
     def __init__(
         self,
-        root: Path,
-        vessel: str,
+        shelf: ModelShelf,
         live: Callable[[], tuple[Frame | None, float]],
         objection: Callable[[], str],
         use: Callable[[Path], Awaitable[None]],
         fits: Callable[[Path], bool],
         clock: Callable[[], float],
     ) -> None:
-        self._root = root
-        self._vessel = vessel
+        self._shelf = shelf
         self._live = live
         self._objection = objection
         self._use = use
@@ -94,7 +92,7 @@ class TrainingDesk:
         phase = self._phase()
         found: dict[str, Any] = {
             "phase": phase,
-            "models": self._models(),
+            "models": self._shelf.describe(),
             "presets": PRESETS,
             "objection": self._objection(),
             "refusal": "",
@@ -159,6 +157,11 @@ class TrainingDesk:
             arguments += [f"--pairs={pairs}", "--progress", "--json", *(f"--set={each}" for each in settings)]
             self._begin(Work("training", model, out, preset, seed, self._clock()), arguments)
 
+    @property
+    def running(self) -> bool:
+        """Whether an import or a training runs."""
+        return self._job is not None and self._job.running
+
     def cancel(self) -> None:
         """End what runs; what it made so far is not used. Waits until it has ended."""
         if self._job is not None and self._job.running:
@@ -180,7 +183,7 @@ class TrainingDesk:
             await self._use(work.out)
         for name in _POLICY_FILES:
             await asyncio.to_thread(shutil.copyfile, work.out / name, folder / name)
-        now = "It drives from now on" if fits else "It will drive once this vessel is under the microscope"
+        now = "It drives from now on" if fits else "Choose this vessel under Registration to drive with it"
         self._used = f'{now}. To start the server with it, set rig.vessel = "{folder}".'
 
     def preview(self, model: str) -> Path:
@@ -189,7 +192,7 @@ class TrainingDesk:
         Raises:
             RefusedError: If there is none.
         """
-        path = self._root / model / "preview.png"
+        path = self._shelf.root / model / "preview.png"
         if not _NAME.fullmatch(model) or not path.is_file():
             raise RefusedError("no_such_model", f"there is no preview of a vessel model {model!r}")
         return path
@@ -211,19 +214,13 @@ class TrainingDesk:
         left_s = round(spent_s * (1.0 - share) / share) if share > _TELLING_SHARE else None
         return {"stage": stage, "share": round(share, 3), "success": told.get("success"), "left_s": left_s}
 
-    def _models(self) -> list[dict[str, Any]]:
-        own = sorted(path.parent.name for path in self._root.glob("*/model.json"))
-        names = [*own, *(name for name in model_names() if name not in own)]
-        in_use = find_model(self._vessel).name
-        return [{"name": name, "own": name in own, "in_use": name == in_use} for name in names]
-
     def _fresh_folder(self, name: str) -> Path:
         self._require_quiet()
         if not _NAME.fullmatch(name):
             raise RefusedError(
                 "bad_name", "a name has small letters, digits, - and _, 64 at most, a letter or digit first"
             )
-        folder = self._root / name
+        folder = self._shelf.root / name
         if name in model_names() or any(folder.glob("**/policy.pt")):
             raise RefusedError(
                 "name_taken", f"there is a vessel model {name} with a policy: name it otherwise"
@@ -233,9 +230,9 @@ class TrainingDesk:
 
     def _own_copy(self, model: str) -> Path:
         """Return the folder of a model below the root; a model from elsewhere is copied there."""
-        if model not in {known["name"] for known in self._models()}:
+        if model not in self._shelf.names():
             raise RefusedError("no_such_model", f"there is no vessel model {model!r}")
-        folder = self._root / model
+        folder = self._shelf.root / model
         if not (folder / "model.json").is_file():
             source = find_model(model)
             folder.mkdir(parents=True, exist_ok=True)
@@ -245,7 +242,7 @@ class TrainingDesk:
         return folder
 
     def _require_quiet(self) -> None:
-        if self._job is not None and self._job.running:
+        if self.running:
             raise RefusedError("busy", "another import or training runs: wait for it, or cancel it")
         if why := self._objection():
             raise RefusedError("not_now", why)
@@ -255,7 +252,7 @@ class TrainingDesk:
         self._work, self._job = work, Job(arguments)
 
 
-def training_desk(rig: RigPort) -> TrainingDesk:
+def training_desk(rig: RigPort, shelf: ModelShelf) -> TrainingDesk:
     """Return the desk of a rig. Touches no file and starts nothing."""
 
     def objection() -> str:
@@ -277,5 +274,4 @@ def training_desk(rig: RigPort) -> TrainingDesk:
         px_per_px = math.sqrt(abs(to_image.a * to_image.d - to_image.b * to_image.c))
         return rig.frames.value, rig.calibration.um_per_px / px_per_px
 
-    root, vessel = Path(rig.settings.models.root), rig.settings.rig.vessel
-    return TrainingDesk(root, vessel, live, objection, rig.use_policy, fits, time.monotonic)
+    return TrainingDesk(shelf, live, objection, rig.use_policy, fits, time.monotonic)

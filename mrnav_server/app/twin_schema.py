@@ -403,6 +403,13 @@ class TrialEnd(_Event):
     """Only on a simulated rig."""
 
 
+class VesselChanging(_Event):
+    """Another vessel model takes the place of this one: the link breaks, and comes back to it."""
+
+    event: Literal["vessel_changing"]
+    vessel: str
+
+
 class RigStopped(_Event):
     """The server ends; the rig comes to rest first."""
 
@@ -472,6 +479,7 @@ TwinEvent = (
     | TrialStart
     | TrialMark
     | TrialEnd
+    | VesselChanging
     | RigStopped
 )
 _UNIONS = {

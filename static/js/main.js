@@ -29,6 +29,7 @@ import { Training } from "./training.js";
 import { trouble, TWIN_VERSION } from "./troubles.js";
 import { TwinPanel } from "./twin-panel.js";
 import { TwinClient } from "./twin.js";
+import { VesselChoice } from "./vessel-choice.js";
 import { VideoView } from "./video.js";
 import { Viewport } from "./viewport.js";
 
@@ -59,6 +60,7 @@ const areas = new Areas(messages, () => show());
 const trials = new Trials(messages);
 const study = new StudyPanel(messages);
 const registration = new Registration(messages, () => drawOverlay());
+const vessel = new VesselChoice(messages);
 const panel = new TwinPanel();
 const policies = new Policies();
 const training = new Training(messages, () => void policies.refresh());
@@ -121,7 +123,7 @@ function onSnapshot(next) {
   signedOut = false;
   if (next.v !== TWIN_VERSION) return show();
   useSession(next.session);
-  if (before) void presence.reconnected(before.session, performance.now() - received_ms);
+  if (before) void presence.reconnected(before.session, performance.now() - received_ms, next.vessel.name);
   siblings.introduce(next.seat);
   viewport.useCamera(next.camera);
   policies.reset(next);
@@ -135,6 +137,7 @@ function onSnapshot(next) {
   trials.reset(next);
   study.reset(next);
   registration.reset(next);
+  vessel.reset(next);
   void training.reset(next);
   void panel.reset(next);
   if (next.state) onState(next.state);
@@ -181,6 +184,9 @@ function onEvent(event) {
       break;
     case "fault":
       messages.report(event.reason, "warning");
+      break;
+    case "vessel_changing":
+      presence.expect(event.vessel);
       break;
     case "recovered":
       messages.report(event.reason, "info");
@@ -243,6 +249,7 @@ function show() {
   trials.show(state, now_ms / 1000, fresh);
   study.show(now_ms / 1000, fresh);
   registration.show(state, fresh);
+  vessel.show(state, fresh);
   calibration.show(state, fresh);
   training.show(state, fresh);
   const left_s = state.time_to_handover_s;

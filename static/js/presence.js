@@ -19,6 +19,8 @@ export class Presence {
   #had = false;
   #gaveBack = false;
   #reclaiming = false;
+  /** The vessel that the server goes over to. */
+  #expected = "";
   #why = "";
   #beat_ms = performance.now();
   #away_ms = 0;
@@ -41,6 +43,12 @@ export class Presence {
     if (reason) this.#why = reason;
   }
 
+  /** The link breaks, for the server goes over to another vessel. @param {string} vessel */
+  expect(vessel) {
+    this.#expected = vessel;
+    this.#messages.say(`The server goes over to vessel ${vessel}: a moment`, "info");
+  }
+
   /** The operator gives control back: no loss to be told. */
   giveBack() {
     this.#gaveBack = true;
@@ -50,14 +58,20 @@ export class Presence {
    * The link is back, under a new session: a seat that the old one still has comes along.
    * @param {string} session The old one's secret.
    * @param {number} silent_ms For how long nothing came.
+   * @param {string} vessel Which one the server goes by.
    */
-  async reconnected(session, silent_ms) {
-    if (!this.#had || silent_ms > SEAT_KEPT_MS) return;
+  async reconnected(session, silent_ms, vessel) {
+    const changed = this.#expected !== "" && this.#expected === vessel;
+    this.#expected = "";
+    if (changed) this.#messages.say(`Vessel ${vessel} is in use: see that its outline lies where the vessel does`, "info");
+    if (!this.#had || (silent_ms > SEAT_KEPT_MS && !changed)) return;
     this.#reclaiming = true;
     try {
       await request("DELETE", "/lease", undefined, { as: session });
       await request("POST", "/lease", { client: "dashboard" });
-      this.#messages.say("The connection was lost and is back: you are still in control, and the rig holds", "info");
+      if (!changed) {
+        this.#messages.say("The connection was lost and is back: you are still in control, and the rig holds", "info");
+      }
     } catch (error) {
       this.#why = explain(error);
     }

@@ -5,7 +5,7 @@
 
 /** @import { OwnStep, Step, Study } from "./study-types.js" */
 
-/** @typedef {"next" | "finish"} Move */
+/** @typedef {"next" | "finish" | "vessel"} Move */
 
 /**
  * The one button: what it says, what it asks for, and whether it is what is to be done now.
@@ -21,8 +21,9 @@ const NAMES = { training: "training", trial: "trial", questionnaire: "questionna
  * @returns {Button | null}
  */
 export function button(study, left_s, reached) {
-  const { step, doing, refusal } = study;
+  const { step, doing, refusal, other_vessel } = study;
   if (!step) return null;
+  if (other_vessel) return { label: `${other_vessel} is in place`, move: "vessel", may: true, due: true };
   if (!doing) {
     if (step.kind === "questionnaire") return null;
     return { label: `Begin ${NAMES[step.kind]}`, move: "next", may: refusal === "", due: true };

@@ -32,6 +32,7 @@
  * @property {string | null} [trial] Its trial, or the one that its questionnaire is about.
  * @property {string} say What is to be done.
  * @property {string} refusal Why it cannot begin yet; "" if it can.
+ * @property {string | null} other_vessel The vessel to be put under the microscope first.
  * @property {number} [left_s] Of a training period.
  * @property {boolean} [answered] Whether the questionnaire is.
  */

@@ -113,7 +113,19 @@ export class StudyPanel {
     if (go.move === "finish" && study.step?.kind === "trial") {
       this.#messages.say("The trial ends; its figures are being computed", "info");
     }
-    await this.#move(go.move);
+    if (go.move === "vessel") await this.#changeVessel();
+    else await this.#move(go.move);
+  }
+
+  /** All links break; the study is asked for again when they are back. */
+  async #changeVessel() {
+    this.#busy = true;
+    try {
+      await request("POST", "/study/vessel", undefined, { timeout_ms: REPORT_MS });
+    } catch (error) {
+      this.#messages.say(explain(error), "warning");
+    }
+    this.#busy = false;
   }
 
   /** A second press within a moment means it. */

@@ -303,7 +303,7 @@
  */
 
 /**
- * @typedef {Snapshot | State | ModeEvent | HandoverAnnounced | Handover | Contact | Fault | Recovered | AreasEvent | LeaseEvent | HandEvent | RegistrationEvent | CalibrationEvent | TrialStart | TrialMark | TrialEnd | RigStopped | Answer | HandLease} ServerMessage
+ * @typedef {Snapshot | State | ModeEvent | HandoverAnnounced | Handover | Contact | Fault | Recovered | AreasEvent | LeaseEvent | HandEvent | RegistrationEvent | CalibrationEvent | TrialStart | TrialMark | TrialEnd | VesselChanging | RigStopped | Answer | HandLease} ServerMessage
  */
 
 /**
@@ -430,7 +430,7 @@
  */
 
 /**
- * @typedef {ModeEvent | HandoverAnnounced | Handover | Contact | Fault | Recovered | AreasEvent | LeaseEvent | HandEvent | RegistrationEvent | CalibrationEvent | TrialStart | TrialMark | TrialEnd | RigStopped} TwinEvent
+ * @typedef {ModeEvent | HandoverAnnounced | Handover | Contact | Fault | Recovered | AreasEvent | LeaseEvent | HandEvent | RegistrationEvent | CalibrationEvent | TrialStart | TrialMark | TrialEnd | VesselChanging | RigStopped} TwinEvent
  */
 
 /**
@@ -441,6 +441,15 @@
  * @property {number} um_per_px
  * @property {number} robot_radius_um
  * @property {VesselPoint[]} suggested_areas
+ */
+
+/**
+ * Another vessel model takes the place of this one: the link breaks, and comes back to it.
+ * @typedef {object} VesselChanging
+ * @property {"event"} type
+ * @property {number} t When, on the server's monotonic clock, in seconds.
+ * @property {"vessel_changing"} event
+ * @property {string} vessel
  */
 
 /**

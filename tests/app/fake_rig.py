@@ -255,6 +255,9 @@ class FakeRig:
     def policies(self) -> list[dict[str, Any]]:
         return [{"name": "ppo", "kind": "torchscript", "verified": True, "reason": ""}]
 
+    def require_idle(self, session: str) -> None:
+        self._note("require_idle", session)
+
     def readiness(self) -> list[str]:
         return self.not_ready
 

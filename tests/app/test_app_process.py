@@ -7,8 +7,10 @@ import stat
 import threading
 import time
 import urllib.request
+from functools import partial
 from pathlib import Path
 
+import httpx
 import pytest
 
 from mrnav_server.app.ready import Ready
@@ -16,6 +18,7 @@ from mrnav_server.app.serve import bound_socket, serve
 from mrnav_server.core.errors import ConfigError, DeviceError
 from mrnav_server.settings import Settings
 from tests.app.fake_rig import OPERATOR_TOKEN, SETTINGS, VIEWER_TOKEN, FakeRig
+from tests.rig_process import wait_for
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -112,3 +115,39 @@ def test_a_rig_that_cannot_start_is_a_configuration_error() -> None:
     rig.failure = ConfigError("hand port 9000 is taken")
     with pytest.raises(ConfigError, match="hand port 9000"):
         serve(lambda _: rig, SETTINGS, lambda _: None)
+
+
+def test_a_change_of_the_vessel_is_a_change_of_rigs_behind_the_same_ports() -> None:
+    rigs, announced = list[FakeRig](), list[Ready]()
+
+    def build(settings: Settings) -> FakeRig:
+        rigs.append(FakeRig(settings))
+        return rigs[-1]
+
+    def is_in_use(base: str, headers: dict[str, str], vessel: str) -> bool:
+        try:
+            models = httpx.get(f"{base}/api/v1/vessels", headers=headers, timeout=20).json()
+        except httpx.TransportError:
+            return False  # accepted by the rig that ends
+        return {"name": vessel, "own": False, "in_use": True} in models
+
+    def change(port: int) -> None:
+        base = f"http://127.0.0.1:{port}"
+        headers = {"Authorization": f"Bearer {OPERATOR_TOKEN}", "X-MRNAV-Session": "a-secret-of-this-page"}
+        try:
+            for vessel in ("network", "serpentine"):
+                answer = httpx.post(f"{base}/api/v1/vessels/{vessel}/choose", headers=headers, timeout=20)
+                assert answer.status_code == 202, answer.text
+                wait_for(partial(is_in_use, base, headers, vessel), 20.0, f"vessel {vessel}")
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    def announce(ready: Ready) -> None:
+        announced.append(ready)
+        threading.Thread(target=change, args=(ready.port,)).start()
+
+    serve(build, SETTINGS, announce)
+    assert [rig.settings.rig.vessel for rig in rigs] == ["bifurcation", "network", "serpentine"]
+    assert [rig.settings.server.hand_port for rig in rigs[1:]] == [4242, 4242]
+    assert len(announced) == 1
+    assert all(rig.asked[-1] == ("stopped",) for rig in rigs)

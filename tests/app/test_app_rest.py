@@ -83,6 +83,9 @@ ROUTES: dict[tuple[str, str], tuple[str, Any, int]] = {
     ("POST", "/api/v1/training/begin"): (CONTROL, {"model": "none"}, 404),
     ("POST", "/api/v1/training/cancel"): (CONTROL, None, 200),
     ("POST", "/api/v1/training/use"): (CONTROL, None, 409),
+    ("GET", "/api/v1/vessels"): (WATCH, None, 200),
+    ("POST", "/api/v1/vessels/{name}/choose"): (CONTROL, None, 404),
+    ("POST", "/api/v1/study/vessel"): (CONTROL, None, 404),
 }
 STREAMED = {("GET", "/video.mjpeg")}
 """Endless answers: refused below, served in test_app_streams.py."""
@@ -106,7 +109,7 @@ def bearer(token: str) -> dict[str, str]:
 
 
 def path_of(template: str) -> str:
-    return template.format(area_id="area-1", trial_id="trial-1", number=0, model="none")
+    return template.format(area_id="area-1", trial_id="trial-1", number=0, model="none", name="none")
 
 
 def test_the_matrix_knows_every_route(app: FastAPI) -> None:

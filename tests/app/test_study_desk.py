@@ -144,7 +144,8 @@ async def test_another_vessel_is_asked_for(study: StudyFolder, trials: LoggedTri
     desk = desk_of(study, trials, vessel="network")
     state = await desk.state()
     assert "bifurcation under the microscope" in state["say"]
-    assert "network is under the microscope, bifurcation is needed" in state["refusal"]
+    assert "goes by vessel network; bifurcation is needed" in state["refusal"]
+    assert state["other_vessel"] == desk.next_vessel() == "bifurcation"
     with pytest.raises(RefusedError, match="bifurcation is needed"):
         await desk.next()
     assert trials.begun == []

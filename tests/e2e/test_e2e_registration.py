@@ -39,6 +39,7 @@ def test_an_operator_registers_the_vessel_from_the_page(shifted: RigProcess, pag
     found = shifted.http.get("/api/v1/registration").json()
     assert found["pose"]["turn_deg"] == pytest.approx(3.0, abs=0.1)
     vessel_from_a_picture(page)
+    choose_vessel(page, "channel")
     page.get_by_test_id("arm").click()
     expect(page.get_by_test_id("training-why")).to_contain_text("disarm", timeout=PATIENCE_MS)
     expect(page.get_by_test_id("training-begin")).to_be_disabled()
@@ -67,3 +68,12 @@ def vessel_from_a_picture(page: Page) -> None:
     page.get_by_test_id("training-cancel").click()
     expect(page.get_by_test_id("training-cancel")).to_be_hidden(timeout=PATIENCE_MS)
     page.get_by_test_id("take").click()
+
+
+def choose_vessel(page: Page, name: str) -> None:
+    """Lay another vessel under the microscope; whoever has control keeps it."""
+    page.get_by_test_id("registration").locator("summary").click()
+    page.get_by_test_id("vessel-choice").select_option(name)
+    page.get_by_test_id("vessel-change").click()
+    expect(page.get_by_test_id("vessel-name")).to_have_text(name, timeout=2 * PATIENCE_MS)
+    expect(page.get_by_test_id("arm")).to_be_enabled(timeout=PATIENCE_MS)
