@@ -3,7 +3,8 @@
 Run from a checkout: ``python -m benchmarks.video``. Prints one JSON object. The server is a whole one on the
 simulated rig, whose camera takes no time of its own here. A frame's age is taken when its pixels can be read:
 in Chromium once the picture is decoded and drawn on a canvas of 800×600, in Python after OpenCV decoded the
-JPEG. Chromium's clock is set against the system's monotonic one by asking for it several times; half of the
+JPEG. ``h264`` is Chromium's again, with H.264 in place of JPEG; null where this machine has no OpenH264.
+Chromium's clock is set against the system's monotonic one by asking for it several times; half of the
 shortest round trip may be off.
 The server's CPU time is that beyond what the same server takes without a viewer.
 """
@@ -22,38 +23,50 @@ import psutil
 from playwright.sync_api import Page, sync_playwright
 from websockets.sync.client import connect
 
+from mrnav_server.app.openh264 import OpenH264
 from mrnav_server.app.video import HEADER
+from mrnav_server.core.errors import ConfigError
 from tests.e2e.test_e2e_dashboard import CHROMIUM, FLAGS
 from tests.rig_process import RigProcess
 
 _QUERY = "/ws/video?width=800&quality=75"
 _SETTLE_S = 1.0
-_LISTEN = """([query, seconds]) => import(location.origin + "/static/js/jpeg.js").then(({ decodeJpeg }) =>
-new Promise((done, fail) => {
+_LISTEN = """([query, seconds]) => Promise.all(
+  ["jpeg", "h264"].map((name) => import(`${location.origin}/static/js/${name}.js`))
+).then(([{ decodeJpeg }, { H264Decoder }]) => new Promise((done, fail) => {
   const canvas = Object.assign(document.createElement("canvas"), { width: 800, height: 600 });
   const context = canvas.getContext("2d", { alpha: false });
   const socket = new WebSocket(location.origin.replace("http", "ws") + query);
   socket.binaryType = "arraybuffer";
-  const frames = [];
+  const frames = [], sent_s = [];
   let bytes = 0, newest = null, decoding = false;
-  const draw = async () => {
+  const draw = (picture, taken_s) => {
+    context.drawImage(picture.image, 0, 0);
+    picture.close();
+    context.getImageData(400, 300, 1, 1);
+    frames.push([taken_s, performance.now()]);
+  };
+  const h264 = new H264Decoder({ onPicture: (picture) => draw(picture, sent_s.shift()), onFailure: fail });
+  const decode = async () => {
     if (decoding) return;
     decoding = true;
     while (newest) {
       const data = newest;
       newest = null;
-      const picture = await decodeJpeg(new Uint8Array(data, 16));
-      context.drawImage(picture.image, 0, 0);
-      picture.close();
-      context.getImageData(400, 300, 1, 1);
-      frames.push([new DataView(data).getFloat64(8, true), performance.now()]);
+      draw(await decodeJpeg(new Uint8Array(data, 16)), new DataView(data).getFloat64(8, true));
     }
     decoding = false;
   };
   socket.onmessage = (message) => {
     bytes += message.data.byteLength;
-    newest = message.data;
-    draw().catch(fail);
+    const header = new DataView(message.data), taken_s = header.getFloat64(8, true);
+    if (header.getUint32(4, true) === 0) {
+      newest = message.data;
+      decode().catch(fail);
+    } else {
+      sent_s.push(taken_s);
+      h264.push(new Uint8Array(message.data, 16), header.getUint32(4, true) === 1, taken_s);
+    }
   };
   socket.onerror = () => fail(new Error("the video cannot be opened"));
   setTimeout(() => { socket.close(); done({ frames, bytes }); }, 1000 * seconds);
@@ -67,7 +80,9 @@ def video(seconds: float) -> dict[str, Any]:
         seconds: Length of each measurement.
     """
     with tempfile.TemporaryDirectory() as folder:
-        rig = RigProcess(Path(folder), MRNAV_SIM__CAMERA_LATENCY_MS="0")
+        has_h264 = _has_h264()
+        settings = {"MRNAV_SIM__CAMERA_LATENCY_MS": "0", "MRNAV_SERVER__H264": str(has_h264).lower()}
+        rig = RigProcess(Path(folder), **settings)
         try:
             rig.until(lambda s: s["track"]["state"] == "tracking", "finding the robot")
             time.sleep(_SETTLE_S)
@@ -75,7 +90,8 @@ def video(seconds: float) -> dict[str, Any]:
             time.sleep(seconds)
             idle_percent = _percent(rig, before, began_s)
             python = _in_python(rig, seconds)
-            browser = _in_chromium(rig, seconds, idle_percent)
+            browser = _in_chromium(rig, _QUERY, seconds, idle_percent)
+            h264 = _in_chromium(rig, f"{_QUERY}&codec=h264", seconds, idle_percent) if has_h264 else None
         finally:
             rig.end()
     return {
@@ -85,7 +101,16 @@ def video(seconds: float) -> dict[str, Any]:
         "height_px": 600,
         **browser,
         "python": python,
+        "h264": h264,
     }
+
+
+def _has_h264() -> bool:
+    try:
+        OpenH264()
+    except ConfigError:
+        return False
+    return True
 
 
 def _in_python(rig: RigProcess, seconds: float) -> dict[str, float]:
@@ -104,7 +129,7 @@ def _in_python(rig: RigProcess, seconds: float) -> dict[str, float]:
     return _summary(ages_ms, seconds)
 
 
-def _in_chromium(rig: RigProcess, seconds: float, idle_percent: float) -> dict[str, float]:
+def _in_chromium(rig: RigProcess, query: str, seconds: float, idle_percent: float) -> dict[str, float]:
     os.environ["no_proxy"] = "127.0.0.1"
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
@@ -114,7 +139,7 @@ def _in_chromium(rig: RigProcess, seconds: float, idle_percent: float) -> dict[s
         page.goto(f"{rig.url}/healthz")
         offset_s, unsure_ms = _clock_offset(page)
         before, began_s = _cpu_s(rig), time.monotonic()
-        seen = page.evaluate(_LISTEN, [_QUERY, seconds])
+        seen = page.evaluate(_LISTEN, [query, seconds])
         cpu_percent = _percent(rig, before, began_s)
         browser.close()
     ages_ms = [1000.0 * (at_ms / 1000.0 + offset_s - taken_s) for taken_s, at_ms in seen["frames"]]

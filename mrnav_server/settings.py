@@ -71,6 +71,8 @@ class ServerConfig:
         tls_certificate: PEM file with the certificate chain; None serves plain HTTP.
         tls_key: PEM file with its private key.
         tls_authority: PEM file with the authority that ``mrnav tls`` made; pages offer it as ``/ca.crt``.
+        h264: Send the picture as H.264 to viewers that take it, which needs OpenH264 on this machine; else
+            everybody gets JPEG.
     """
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012 - read by pydantic, never changed
@@ -86,6 +88,7 @@ class ServerConfig:
     tls_certificate: str | None = None
     tls_key: str | None = None
     tls_authority: str | None = None
+    h264: bool = False
 
     @property
     def is_loopback(self) -> bool:

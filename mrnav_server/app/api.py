@@ -1,7 +1,7 @@
 """REST routes of the rig: health, state, control, picture; and the WebSockets."""
 
 import asyncio
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import orjson
 from fastapi import APIRouter, Depends, Query, Response, WebSocket
@@ -29,6 +29,7 @@ from mrnav_server.core.wire_twin import twin_state, vessel_fields
 
 Width = Annotated[int, Query(ge=64, le=4096, description="Width of the picture in px, in steps of 16")]
 Quality = Annotated[int, Query(ge=10, le=95, description="JPEG quality, in steps of 5")]
+Codec = Annotated[Literal["jpeg", "h264"], Query(description="What is taken besides JPEG")]
 RateHz = Annotated[float, Query(ge=1, le=120, allow_inf_nan=False, description="States a second at most")]
 
 health = APIRouter(tags=["health"])
@@ -179,9 +180,11 @@ async def ws_twin(websocket: WebSocket, parts: Context, principal: Viewer, rate_
 
 
 @streams.websocket("/ws/video")
-async def ws_video(websocket: WebSocket, parts: Context, width: Width = 800, quality: Quality = 75) -> None:
-    """Serve frames: 16 bytes of header (number, 0, capture time), then a JPEG."""
-    await parts.video.serve(websocket, _step(width, 16), _step(quality, 5))
+async def ws_video(
+    websocket: WebSocket, parts: Context, width: Width = 800, quality: Quality = 75, codec: Codec = "jpeg"
+) -> None:
+    """Serve frames: 16 bytes of header (number, format, capture time), then the picture."""
+    await parts.video.serve(websocket, _step(width, 16), _step(quality, 5), takes_h264=codec == "h264")
 
 
 def _step(value: int, step: int) -> int:

@@ -16,6 +16,7 @@ from mrnav_server.app.auth import Gate
 from mrnav_server.app.context import AppContext
 from mrnav_server.app.guards import BoundedBodies, SecurityHeaders, content_policy
 from mrnav_server.app.model_shelf import ModelShelf
+from mrnav_server.app.openh264 import OpenH264
 from mrnav_server.app.pages import Pages, pages_folder
 from mrnav_server.app.problems import install_problems
 from mrnav_server.app.rig_port import RigPort
@@ -40,6 +41,9 @@ def create_app(
         settings: Their tokens must be set (``Settings.with_tokens``).
         study: What to lead the experimenter through; None without a study.
         build_rig: Builds a rig around another vessel model; None where the vessel stays.
+
+    Raises:
+        ConfigError: If the settings ask for H.264 and this machine has no encoder.
     """
     app = FastAPI(
         title="mrnav-server", version=__version__, openapi_url=_OPENAPI, docs_url=None, redoc_url=None
@@ -52,7 +56,7 @@ def create_app(
     vessels = VesselDesk(
         rig, shelf, build_rig, lambda: _vessel_objection(rig, training, leading), time.monotonic
     )
-    video = VideoHub(rig.encoder)
+    video = VideoHub(rig.encoder, OpenH264() if settings.server.h264 else None)
     app.state.context = AppContext(
         rig, gate, TwinHub(rig), rig.encoder, video, png.tobytes(), leading, training, vessels
     )

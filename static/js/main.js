@@ -269,6 +269,6 @@ function showBanner(fresh, videoLive) {
 }
 
 twin.start();
-video.start();
+void video.start();
 show();
 setInterval(show, REFRESH_MS);

@@ -60,6 +60,12 @@ export class ReconnectingSocket {
     };
   }
 
+  /** Leave the link and open it anew, by the path that the options name by now. */
+  renew() {
+    this.#abandon();
+    this.open();
+  }
+
   /**
    * Send text now, or tell that it cannot be sent; nothing is queued, because late commands are dangerous.
    * @param {unknown} message

@@ -3,6 +3,7 @@
  * @module
  */
 
+import { decodesH264, H264Decoder } from "./h264.js";
 import { decodeJpeg } from "./jpeg.js";
 import { ReconnectingSocket } from "./socket.js";
 
@@ -11,12 +12,17 @@ import { ReconnectingSocket } from "./socket.js";
 
 const HEADER_BYTES = 16;
 const RATE_WINDOW_MS = 2000;
+const PATH = "/ws/video?width=800&quality=75";
+/** The header's second number. */
+const FORMAT = { jpeg: 0, h264Key: 1 };
 
 export class VideoView {
   #context;
   #canvas;
   #socket;
   #onFirstFrame;
+  #takesH264 = false;
+  /** @type {H264Decoder | null} */ #h264 = null;
   /** @type {ArrayBuffer | null} */ #next = null;
   #decoding = false;
   /** @type {number[]} */ #drawn_ms = [];
@@ -34,23 +40,25 @@ export class VideoView {
     this.#canvas = canvas;
     this.#context = context;
     this.#onFirstFrame = onFirstFrame;
+    const path = () => (this.#takesH264 ? `${PATH}&codec=h264` : PATH);
     this.#socket = new ReconnectingSocket({
-      path: "/ws/video?width=800&quality=75",
+      get path() {
+        return path();
+      },
       silence_ms: 3000,
       onMessage: (data) => {
-        if (typeof data !== "string" && data.byteLength > HEADER_BYTES) {
-          this.#next = data;
-          void this.#decode();
-        }
+        if (typeof data !== "string" && data.byteLength > HEADER_BYTES) this.#take(data);
       },
       onLink: (link) => {
         this.link = link;
+        if (link === "lost") this.#endH264();
       },
     });
   }
 
   /** Connect, and stay connected. */
-  start() {
+  async start() {
+    this.#takesH264 = await decodesH264();
     this.#socket.open();
   }
 
@@ -62,6 +70,34 @@ export class VideoView {
   fps(now_ms) {
     this.#drawn_ms = this.#drawn_ms.filter((drawn_ms) => now_ms - drawn_ms < RATE_WINDOW_MS);
     return this.#drawn_ms.length / (RATE_WINDOW_MS / 1000);
+  }
+
+  /** The server chooses among what is taken, and says of each picture what it is. @param {ArrayBuffer} message */
+  #take(message) {
+    const header = new DataView(message, 0, HEADER_BYTES);
+    const format = header.getUint32(4, true);
+    if (format === FORMAT.jpeg) {
+      this.#next = message;
+      void this.#decode();
+      return;
+    }
+    this.#h264 ??= new H264Decoder({
+      onPicture: (picture) => this.#draw(picture),
+      onFailure: () => this.#refuseH264(),
+    });
+    this.#h264.push(new Uint8Array(message, HEADER_BYTES), format === FORMAT.h264Key, header.getFloat64(8, true));
+  }
+
+  #endH264() {
+    this.#h264?.close();
+    this.#h264 = null;
+  }
+
+  /** A decoder that fails will fail again: JPEG from here on. */
+  #refuseH264() {
+    this.#endH264();
+    this.#takesH264 = false;
+    this.#socket.renew();
   }
 
   async #decode() {

@@ -9,7 +9,7 @@ import os
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,10 +22,13 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from mrnav_server.app import connections, guards, twin, video
-from mrnav_server.core.errors import RefusedError
+from mrnav_server.app.openh264 import OpenH264
+from mrnav_server.app.server import create_app
+from mrnav_server.core.errors import ConfigError, RefusedError
 from mrnav_server.core.records import Frame
 from mrnav_server.loops.ticks import ticks
-from tests.app.fake_rig import OPERATOR_TOKEN, VIEWER_TOKEN, FakeRig, listening
+from mrnav_server.settings import Settings
+from tests.app.fake_rig import OPERATOR_TOKEN, SERVER, VIEWER_TOKEN, FakeRig, listening
 
 TOKENS = {"operator": OPERATOR_TOKEN, "viewer": VIEWER_TOKEN}
 
@@ -310,6 +313,45 @@ async def test_video_carries_number_and_capture_time(site: Site) -> None:
     picture = cv2.imdecode(np.frombuffer(content[16:], np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     assert picture.shape == (60, 80, 3)
+
+
+async def picture_format(link: ClientConnection) -> int:
+    content = await link.recv()
+    assert isinstance(content, bytes)
+    return int(video.HEADER.unpack_from(content)[1])
+
+
+async def test_viewers_that_take_h264_get_it_where_the_server_has_it() -> None:
+    try:
+        OpenH264()
+    except ConfigError as error:
+        pytest.skip(str(error))
+    settings = Settings.model_validate({"server": {**SERVER, "h264": True}})
+    rig = FakeRig(settings)
+    app = create_app(rig, settings)
+    async with listening(app) as port:
+        url = f"ws://127.0.0.1:{port}/ws/video?width=80&token={VIEWER_TOKEN}"
+        async with AsyncExitStack() as links:
+            plain = await links.enter_async_context(connect(url))
+            coded = [await links.enter_async_context(connect(f"{url}&codec=h264")) for _ in range(5)]
+            seen = []
+            for number in range(3):
+                rig.show(number)
+                seen.append([await picture_format(link) for link in (plain, *coded)])
+        # The fifth finds no encoder free.
+        key, delta = ([video.JPEG, *[form] * 4, video.JPEG] for form in (video.H264_KEY, video.H264_DELTA))
+        assert seen == [key, delta, delta]
+        hub = app.state.context.video
+        await gone(lambda: hub.clients)
+        async with connect(f"{url}&codec=h264") as link:
+            assert await picture_format(link) == video.H264_KEY
+    app.state.context.encoder.close()
+
+
+async def test_a_server_without_h264_sends_jpeg_to_whoever_takes_it(site: Site) -> None:
+    async with connect(f"ws://127.0.0.1:{site.port}/ws/video?codec=h264&token={VIEWER_TOKEN}") as link:
+        site.rig.show(1)
+        assert await picture_format(link) == video.JPEG
 
 
 async def test_each_size_is_encoded_once_a_frame(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:

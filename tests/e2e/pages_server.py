@@ -14,9 +14,15 @@ from tests.app.fake_rig import OPERATOR_TOKEN, SERVER, FakeRig, listening
 
 
 @contextmanager
-def pages_server(trials: Path, study: LedStudy | None = None) -> Iterator[str]:
-    """Serve the pages over the trials in a folder, and lead a study; yields the address."""
-    settings = Settings.model_validate({"server": SERVER, "recording": {"root": str(trials)}})
+def pages_server(trials: Path, study: LedStudy | None = None, **server: object) -> Iterator[str]:
+    """Serve the pages over the trials in a folder, and lead a study; yields the address.
+
+    Args:
+        trials: Where they are.
+        study: What to lead through.
+        server: Further settings of section ``server``.
+    """
+    settings = Settings.model_validate({"server": SERVER | server, "recording": {"root": str(trials)}})
     ready, over = threading.Event(), threading.Event()
     ports: list[int] = []
 
@@ -27,6 +33,7 @@ def pages_server(trials: Path, study: LedStudy | None = None) -> Iterator[str]:
             ready.set()
             for seq in itertools.count(1):
                 rig.publish(seq)
+                rig.show(seq)
                 if await asyncio.to_thread(over.wait, 0.1):
                     break
 

@@ -27,7 +27,7 @@ export class Microscope {
 
   /** Connect, and stay connected. */
   start() {
-    this.#video.start();
+    void this.#video.start();
   }
 
   /**
