@@ -3,6 +3,7 @@
 import asyncio
 import json
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +19,11 @@ from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import PolicyCard
 from mrnav_server.loops.autopilot import Autopilot, PathOrder
 from mrnav_server.loops.laws import new_law
+from mrnav_server.loops.ticks import ticks
 from mrnav_server.settings import Settings
 from mrnav_server.vision.model_store import find_model
+
+_LOOK_S = 0.01
 
 
 class Navigator:
@@ -98,8 +102,21 @@ class Navigator:
         slow_um = area.epsilon_um if self._handover.in_motion(area.epsilon_um) else 0.0
         self.autopilot.prepare(path, area.center, slow_um, area.epsilon_um)
 
+    async def run(self, clock: Callable[[], float]) -> None:
+        """Plan the paths that the autopilot orders while it drives, until cancelled."""
+        async for _ in ticks(_LOOK_S, clock):
+            order = self.autopilot.order
+            if order is None:
+                continue
+            try:
+                path = await self.plan_order(order)
+            except RefusedError as refused:
+                self.autopilot.decline(order, str(refused))
+            else:
+                self.autopilot.deliver(order, path)
+
     async def plan_order(self, order: PathOrder) -> PlannedPath | None:
-        """Plan what the autopilot ordered; None if there is no way off the target."""
+        """Plan what was ordered; None if there is no way off the target."""
         loop = asyncio.get_running_loop()
         if order.back_off:
             return await loop.run_in_executor(self._thread, self._plan_back_off, order)

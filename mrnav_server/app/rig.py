@@ -16,15 +16,14 @@ from mrnav_server.app.auth import Role, Tokens, session_name
 from mrnav_server.app.bench import build_bench
 from mrnav_server.app.calibration_desk import CalibrationDesk
 from mrnav_server.app.console_desk import ConsoleDesk
-from mrnav_server.app.drift_patrol import DriftPatrol
 from mrnav_server.app.hand_seat import HandSeat
 from mrnav_server.app.herald import Herald
 from mrnav_server.app.navigator import Navigator
 from mrnav_server.app.registration_desk import RegistrationDesk
 from mrnav_server.app.reporting import Report, trial_report
+from mrnav_server.app.sight import Sight
 from mrnav_server.app.supervision import come_to_rest, supervised, tell_earlier_stops
 from mrnav_server.app.telemetry import Telemetry
-from mrnav_server.app.tip_patrol import TipPatrol
 from mrnav_server.app.trial_desk import TrialDesk
 from mrnav_server.app.trial_video import TrialVideo
 from mrnav_server.app.video import VideoEncoder
@@ -44,14 +43,11 @@ from mrnav_server.loops.latest import Latest
 from mrnav_server.loops.priority import compute_in_calling_threads
 from mrnav_server.loops.recorder import Recorder
 from mrnav_server.loops.ticks import ticks
-from mrnav_server.loops.tracking import TrackingLoop
 from mrnav_server.loops.trial_fields import track_fields
 from mrnav_server.loops.trial_marks import TrialMarks
 from mrnav_server.settings import Settings
 from mrnav_server.sim.clock import WorldClock
-from mrnav_server.vision.frame_watch import FrameWatch
 from mrnav_server.vision.model_store import find_model
-from mrnav_server.vision.tracker import Tracker
 from mrnav_server.vision.vessel_model import load_vessel_model
 
 _PUBLISH_S = 1 / 60
@@ -183,36 +179,20 @@ class Rig:
                 "vertical_gain": settings.hand.vertical_gain,
             },
         )
-        self._camera_fault = ""
-        # Pictures of a film repeat where it was compressed; those of a camera never do.
-        film = settings.rig.camera == "file"
-        self._frame_watch = FrameWatch(settings.camera.fps, settings.tracker.darkest_gray, may_repeat=film)
-        self._drift = DriftPatrol(
-            settings.drift,
+        self.sight = Sight(
+            settings,
             self.vessel,
-            self.calibration,
+            self.bench,
             self.frames,
-            lambda: self._camera_fault or self.control.errand.busy,
+            self.control,
+            self._on_track,
             self.herald.announce,
+            clock,
+            sleep,
         )
-        self._tip = TipPatrol(
-            settings.tip_watch,
-            settings.tip,
-            self.vessel,
-            self.calibration,
-            self.frames,
-            self.control.scene,
-            lambda: self._camera_fault or self.control.errand.busy,
-            self.herald.announce,
-        )
-        self.telemetry.tip_seen = lambda: self._tip.seen
+        self.telemetry.tip_seen = self.sight.tip_seen
         around = self.control.surroundings
         around.recorder_fault = lambda: self._recorder.fault or ""
-        around.camera_fault = lambda: self._camera_fault or self._frame_watch.overdue(self._clock())
-        around.drift_warning = lambda: (
-            self._drift.warning() or self._tip.warning() or self._registration_warning
-        )
-        around.drift_fault = self._drift.fault
         around.device_warnings = self.bench.manipulator.warnings
         around.announce = lambda left_s: self.herald.announce(
             "handover_announced", {"in_s": round(left_s, 2), "distance_um": self.control.scene.distance_um}
@@ -234,8 +214,7 @@ class Rig:
             transform=seat.transform,
             choose_scale=seat.choose_scale,
         )
-        self._tracker = Tracker(settings.tracker, self.calibration, live=not film)
-        self._registration_warning = self.registration.restore()
+        self.sight.registration_warning = self.registration.restore()
         self._running = False
         self._fresh_track = asyncio.Event()
 
@@ -289,8 +268,8 @@ class Rig:
     def readiness(self) -> list[str]:
         """Return why the rig is not ready; empty when it is."""
         reasons = [] if self._running else ["the rig is starting or has stopped"]
-        if self._camera_fault:
-            reasons.append(self._camera_fault)
+        if self.sight.camera_fault:
+            reasons.append(self.sight.camera_fault)
         if self.control.facts.fault:
             reasons.append(self.control.facts.fault)
         return reasons
@@ -365,27 +344,16 @@ class Rig:
 
     async def _run_loops(self, started: asyncio.Event) -> None:
         """Run every loop until cancelled, or until one fails."""
-        tracking = TrackingLoop(
-            self.bench.camera,
-            self._tracker,
-            self._on_track,
-            self._on_camera,
-            self._frame_watch,
-            self._clock,
-            self._sleep,
-        )
         try:
             async with asyncio.TaskGroup() as group:
                 if self.bench.world_clock is not None:
                     self.bench.world_clock.catch_up()
                     group.create_task(self._run_world(self.bench.world_clock), name="simulated world")
-                group.create_task(tracking.run(), name="tracking")
+                self.sight.start(group)
                 group.create_task(self._run_control(), name="control")
                 group.create_task(self._run_twin(), name="twin")
-                group.create_task(self._run_planner(), name="planner")
+                group.create_task(self.navigator.run(self._clock), name="planner")
                 group.create_task(self.film.run(), name="film")
-                group.create_task(self._drift.run(self._clock), name="drift")
-                group.create_task(self._tip.run(self._clock), name="tip")
                 group.create_task(self.calibrating.run(), name="calibration")
                 listening = asyncio.Event()
                 group.create_task(self._hand_link.run(listening), name="hand link")
@@ -414,18 +382,6 @@ class Rig:
                 pass
             self._fresh_track.clear()
             self._publish()
-
-    async def _run_planner(self) -> None:
-        """Plan the paths that the autopilot orders while it drives."""
-        async for _ in ticks(0.01, self._clock):
-            order = self.navigator.autopilot.order
-            if order is not None:
-                try:
-                    path = await self.navigator.plan_order(order)
-                except RefusedError as refused:
-                    self.navigator.autopilot.decline(order, str(refused))
-                else:
-                    self.navigator.autopilot.deliver(order, path)
 
     def _step(self, now_s: float, received_s: float | None = None) -> None:
         """Step the control loop, at a beat or for a hand sample that was received just now."""
@@ -461,10 +417,7 @@ class Rig:
         self.bench.calibration = calibration
         self.navigator.recalibrate(calibration)
         self.telemetry.recalibrate(calibration)
-        self._tracker.recalibrate(calibration)
-        self._drift.recalibrate(calibration)
-        self._tip.recalibrate(calibration)
-        self._registration_warning = ""
+        self.sight.recalibrate(calibration)
 
     def _simulated_place(self) -> object:
         """Return where a simulated vessel really lies: a registration holds for that place alone."""
@@ -532,13 +485,6 @@ class Rig:
                 "next": upcoming.id if upcoming else active_id,
             },
         )
-
-    def _on_camera(self, fault: str) -> None:
-        self._camera_fault = fault
-        if fault:
-            self.herald.announce("fault", {"reason": fault})
-        else:
-            self.herald.announce("recovered", {"reason": "the camera works again"})
 
     def _authorize(self, token: str) -> str | None:
         role = self._tokens.role(token)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mrnav_server import __version__
 from mrnav_server.app.bench import Bench
 from mrnav_server.app.navigator import Navigator
 from mrnav_server.app.reporting import Report, ReportError, trial_report
@@ -14,6 +13,7 @@ from mrnav_server.app.telemetry import Telemetry
 from mrnav_server.app.trial_video import TrialVideo
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.metrics import trial_metrics
+from mrnav_server.core.software import software_version
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import calibration_fields
 from mrnav_server.loops.control import ControlLoop
@@ -71,6 +71,7 @@ class TrialDesk:
         self._telemetry = telemetry
         self._film = film
         self._announce = announce
+        self._software = software_version()
         self._ending = asyncio.Lock()
         self._condition: Condition | None = None
 
@@ -115,7 +116,7 @@ class TrialDesk:
             condition=condition,
             operator_kind=operator_kind,
             simulated_rig=self._bench.simulated,
-            software_version=__version__,
+            software_version=self._software,
             configuration_sha256=self._settings.digest(),
             vessel=self._vessel.name,
             vessel_sha256=self._vessel.digest,

@@ -242,7 +242,7 @@ def _status(log: Path) -> Status:
     last = _last_line(log)
     if last is None or last.topic != CLOSED_TOPIC:
         return "running"
-    return "interrupted" if last.data["status"] == "interrupted" else "ended"
+    return "interrupted" if last.data.get("status") == "interrupted" else "ended"
 
 
 def _last_line(log: Path) -> LogLine | None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import orjson
 
-from mrnav_server import __version__
 from mrnav_server.autonomy.grid_graph import DistanceField, GridGraph
 from mrnav_server.autonomy.plane import Plane
 from mrnav_server.autonomy.policy import Policy
@@ -18,6 +17,7 @@ from mrnav_server.core.frames import Calibration, VesselPoint
 from mrnav_server.core.hand import HandControl
 from mrnav_server.core.lease import Lease
 from mrnav_server.core.modes import Mode
+from mrnav_server.core.software import software_version
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.loops.autopilot import Autopilot
 from mrnav_server.loops.control import ControlLoop
@@ -117,8 +117,8 @@ def _changed_files(recording: Recording, vessel: VesselMap) -> Iterator[str]:
     yield from new
     if not new and recording.settings.digest() != header.configuration_sha256:
         yield "the settings in the log are not those that its header names"
-    if header.software_version != __version__:
-        yield f"software: {header.software_version} → {__version__}"
+    if header.software_version != software_version():
+        yield f"software: {header.software_version} → {software_version()}"
     if header.vessel_sha256 != vessel.digest:
         yield f"vessel model {header.vessel}: another mask"
     if header.policy_sha256 not in ("", _policy_sha256(header)):

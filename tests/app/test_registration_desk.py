@@ -191,7 +191,7 @@ async def test_a_vessel_that_moves_during_the_session_is_told_and_keeps_auto_fro
         Rig, settings.model_copy(update={"sim": SimConfig(vessel_shift_um=(100.0, -98.0))})
     )
     async with running(rig):
-        await until(rig, lambda: rig._drift.drift.moved_um is not None)
+        await until(rig, lambda: rig.sight.drift.moved_um is not None)
         assert rig.control.surroundings.drift_fault() == ""
         # The same camera over a vessel that somebody pushed.
         rig.bench.camera._render = moved.bench.camera._render  # type: ignore[attr-defined]

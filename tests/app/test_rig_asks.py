@@ -234,10 +234,10 @@ async def test_a_replan_that_is_refused_holds_and_the_rig_goes_on(
         raise RefusedError("no_path", "no path leads there")
 
     monkeypatch.setattr(desk.rig.navigator, "plan_order", refuse)
-    monkeypatch.setattr("mrnav_server.app.rig.ticks", _ticks_at_once)
+    monkeypatch.setattr("mrnav_server.app.navigator.ticks", _ticks_at_once)
     autopilot.order = PathOrder(area.center, area.center, back_off=False)
     async with asyncio.timeout(5), asyncio.TaskGroup() as group:
-        planner = group.create_task(desk.rig._run_planner())
+        planner = group.create_task(desk.rig.navigator.run(lambda: desk.now_s))
         async for now_s in _ticks_at_once(0.01, lambda: desk.now_s):
             if autopilot.stuck(now_s):
                 planner.cancel()
