@@ -12,6 +12,7 @@ from mrnav_server.core.frames import HandPoint
 from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.modes import Ask, Mode, Transition
 from mrnav_server.core.records import Track, TrackState
+from mrnav_server.core.software import software_version
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import calibration_fields
 from mrnav_server.loops.autopilot import AutopilotConfig
@@ -57,7 +58,7 @@ class RecordedRig(LockStep):
             condition="with_autonomy",
             operator_kind="simulated",
             simulated_rig=True,
-            software_version=_version(),
+            software_version=software_version(),
             configuration_sha256=settings.digest(),
             vessel=self.vessel.name,
             vessel_sha256=self.vessel.digest,
@@ -126,9 +127,3 @@ def drive(rig: RecordedRig) -> None:
     rig.ask(Ask.ARM)
     rig.start_auto()
     rig.advance(0.8)
-
-
-def _version() -> str:
-    from mrnav_server import __version__
-
-    return __version__
