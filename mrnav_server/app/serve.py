@@ -73,6 +73,8 @@ def serve(
     with bound_socket(settings.server.host, settings.server.port) as listener:
         # The slowest to load does so while the rig is built.
         threading.Thread(target=import_module, args=(_SLOW_TO_LOAD,), name="loading", daemon=True).start()
+        # What loads is no garbage.
+        gc.disable()
         try:
             first = build_rig(settings)
             asyncio.run(_rigs(first, build_rig, listener, announce, ready_file, study, preferred=preferred))
@@ -81,10 +83,12 @@ def serve(
             if config is None:
                 raise
             raise _leaf(config) from None
+        finally:
+            gc.enable()
 
 
 async def _rigs(
-    rig: RigPort | None,
+    rig: RigPort,
     build_rig: BuildRig,
     listener: socket.socket,
     announce: Callable[[Ready], None],
@@ -107,13 +111,16 @@ async def _rigs(
             _log.info("the system gives the rig no preference over other programs: keep this machine idle")
 
     with _stop_signals() as stop, ExitStack() as files:
-        while rig is not None and not stop.is_set():
+        while True:
             app = create_app(rig, rig.settings, study, build_rig)
             await _process(rig, app, listener, tell, stop)
-            tell = _told_before
-            rig = app.state.context.vessels.successor
+            successor = app.state.context.vessels.successor
+            if successor is None or stop.is_set():
+                break
+            tell, rig = _told_before, successor
             # The rig before leaves a hundred megabytes; a pause holds up nothing now.
             del app
+            gc.unfreeze()
             gc.collect()
 
 
@@ -140,6 +147,9 @@ async def _process(
 
     async def run_web() -> None:
         await started.wait()
+        # A collector's full round over all that is loaded takes 0.2 s, for which no control loop can wait.
+        gc.freeze()
+        gc.enable()
         listener.listen()
         tell(ready_for(rig.settings.server, listener, rig.hand_port))
         # The server closes what it is given; who comes between two rigs waits in the queue of the original.

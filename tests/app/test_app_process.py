@@ -1,5 +1,6 @@
 """The process: what it announces, how it ends."""
 
+import gc
 import json
 import os
 import signal
@@ -7,6 +8,7 @@ import stat
 import threading
 import time
 import urllib.request
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +21,13 @@ from mrnav_server.core.errors import ConfigError, DeviceError
 from mrnav_server.settings import Settings
 from tests.app.fake_rig import OPERATOR_TOKEN, SETTINGS, VIEWER_TOKEN, FakeRig
 from tests.rig_process import wait_for
+
+
+@pytest.fixture(autouse=True)
+def collected_again() -> Iterator[None]:
+    """A process that serves exempts all that it has loaded from the collector: this one goes on."""
+    yield
+    gc.unfreeze()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
