@@ -32,6 +32,8 @@ from mrnav_server.settings import ServerConfig, Settings
 _SWITCH_INTERVAL_S = 0.0005
 _SLOW_TO_LOAD = "mrnav_server.autonomy.torchscript"
 _GRACE_S = 2
+_TRIES, _AGAIN_S = 5, 1.0
+"""For devices that the rig before has just given back: some take a moment until they can be opened again."""
 _log = logging.getLogger(__name__)
 
 
@@ -111,13 +113,24 @@ async def _rigs(
             _log.info("the system gives the rig no preference over other programs: keep this machine idle")
 
     with _stop_signals() as stop, ExitStack() as files:
+        tries = 1
         while True:
             app = create_app(rig, rig.settings, study, build_rig)
-            await _process(rig, app, listener, tell, stop)
+            try:
+                await _process(rig, app, listener, tell, stop)
+            except BaseExceptionGroup as group:
+                config, others = group.split(ConfigError)
+                tries -= 1
+                if config is None or others is not None or tries == 0 or stop.is_set():
+                    raise
+                _log.warning("%s; trying again", _leaf(config))
+                await asyncio.sleep(_AGAIN_S)
+                rig = build_rig(rig.settings)
+                continue
             successor = app.state.context.vessels.successor
             if successor is None or stop.is_set():
                 break
-            tell, rig = _told_before, successor
+            tell, rig, tries = _told_before, successor, _TRIES
             # The rig before leaves a hundred megabytes; a pause holds up nothing now.
             del app
             gc.unfreeze()

@@ -126,11 +126,15 @@ def test_a_rig_that_cannot_start_is_a_configuration_error() -> None:
         serve(lambda _: rig, SETTINGS, lambda _: None)
 
 
-def test_a_change_of_the_vessel_is_a_change_of_rigs_behind_the_same_ports() -> None:
+def test_a_change_of_the_vessel_is_a_change_of_rigs_behind_the_same_ports(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     rigs, announced = list[FakeRig](), list[Ready]()
 
     def build(settings: Settings) -> FakeRig:
         rigs.append(FakeRig(settings))
+        if len(rigs) in (2, 3):
+            rigs[-1].failure = ConfigError("cannot start the rig: the camera is still in use")
         return rigs[-1]
 
     def is_in_use(base: str, headers: dict[str, str], vessel: str) -> bool:
@@ -155,8 +159,11 @@ def test_a_change_of_the_vessel_is_a_change_of_rigs_behind_the_same_ports() -> N
         announced.append(ready)
         threading.Thread(target=change, args=(ready.port,)).start()
 
+    monkeypatch.setattr("mrnav_server.app.serve._AGAIN_S", 0.01)
     serve(build, SETTINGS, announce)
-    assert [rig.settings.rig.vessel for rig in rigs] == ["bifurcation", "network", "serpentine"]
-    assert [rig.settings.server.hand_port for rig in rigs[1:]] == [4242, 4242]
+    # The devices of the first one could not be opened at once.
+    vessels = ["bifurcation", *["network"] * 3, "serpentine"]
+    assert [rig.settings.rig.vessel for rig in rigs] == vessels
+    assert [rig.settings.server.hand_port for rig in rigs[1:]] == [4242] * 4
     assert len(announced) == 1
-    assert all(rig.asked[-1] == ("stopped",) for rig in rigs)
+    assert all(rig.asked[-1] == ("stopped",) for rig in rigs if rig.failure is None)
