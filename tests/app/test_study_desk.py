@@ -12,9 +12,10 @@ from mrnav_server.app.server import create_app
 from mrnav_server.app.study_desk import StudyDesk
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.loops.trial_log import LOG_NAME, Condition, OperatorKind, header_line, log_line
+from mrnav_server.settings import Settings
 from mrnav_server.study.plan import new_plan
 from mrnav_server.study.study_folder import StudyFolder
-from tests.app.fake_rig import OPERATOR_TOKEN, SETTINGS, FakeRig
+from tests.app.fake_rig import OPERATOR_TOKEN, SERVER, SETTINGS, FakeRig
 from tests.trial_headers import bare_header
 
 
@@ -185,4 +186,25 @@ async def test_over_rest(study: StudyFolder) -> None:
         refused = await page.post("/api/v1/trials", json=free)
         assert (refused.status_code, refused.json()["code"]) == (409, "study_leads")
         assert orjson.loads((study.folder / "progress.jsonl").read_bytes().splitlines()[-1])["trial"] is None
+    app.state.context.encoder.close()
+
+
+async def test_a_step_keeps_its_vessel_and_the_next_one_changes_it(study: StudyFolder) -> None:
+    rig = FakeRig(Settings.model_validate({"server": SERVER, "rig": {"vessel": "network"}}))
+    app = create_app(rig, rig.settings, study, FakeRig)
+    page = httpx.AsyncClient(
+        transport=httpx.ASGITransport(app),
+        base_url="http://127.0.0.1:8000",
+        headers={"Authorization": f"Bearer {OPERATOR_TOKEN}", "X-MRNAV-Session": "a-secret-of-this-page"},
+    )
+    async with page:
+        study.begin(study.plan.steps[0])
+        refused = await page.post("/api/v1/vessels/serpentine/choose")
+        assert (refused.status_code, refused.json()["code"]) == (409, "not_now")
+        assert "step of the study is under way" in refused.json()["detail"]
+        study.interrupt(study.plan.steps[0])
+        vessels: Any = app.state.context.vessels
+        assert vessels.successor is None
+        assert (await page.post("/api/v1/study/vessel")).status_code == 202
+        assert vessels.successor.settings.rig.vessel == study.plan.steps[0].model
     app.state.context.encoder.close()
