@@ -13,12 +13,12 @@ from mrnav_server.app.telemetry import Telemetry
 from mrnav_server.app.trial_video import TrialVideo
 from mrnav_server.core.errors import RefusedError
 from mrnav_server.core.metrics import trial_metrics
-from mrnav_server.core.software import software_version
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import calibration_fields
 from mrnav_server.loops.control import ControlLoop
 from mrnav_server.loops.live_trial import LiveTrial
 from mrnav_server.loops.recorder import Recorder
+from mrnav_server.loops.software import software_version
 from mrnav_server.loops.state_image import state_image
 from mrnav_server.loops.trial_log import Condition, OperatorKind, TrialHeader, list_trials
 from mrnav_server.loops.trial_marks import TrialMarks

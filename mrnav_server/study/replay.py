@@ -17,11 +17,11 @@ from mrnav_server.core.frames import Calibration, VesselPoint
 from mrnav_server.core.hand import HandControl
 from mrnav_server.core.lease import Lease
 from mrnav_server.core.modes import Mode
-from mrnav_server.core.software import software_version
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.loops.autopilot import Autopilot
 from mrnav_server.loops.control import ControlLoop
 from mrnav_server.loops.laws import new_law
+from mrnav_server.loops.software import software_version
 from mrnav_server.loops.state_image import restored
 from mrnav_server.loops.trial_log import CLOSED_TOPIC, TrialHeader
 from mrnav_server.loops.trial_marks import TrialMarks

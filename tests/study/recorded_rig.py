@@ -12,12 +12,12 @@ from mrnav_server.core.frames import HandPoint
 from mrnav_server.core.hand_stream import HandSample
 from mrnav_server.core.modes import Ask, Mode, Transition
 from mrnav_server.core.records import Track, TrackState
-from mrnav_server.core.software import software_version
 from mrnav_server.core.vessel import VesselMap
 from mrnav_server.core.wire_twin import calibration_fields
 from mrnav_server.loops.autopilot import AutopilotConfig
 from mrnav_server.loops.events import EventBus
 from mrnav_server.loops.recorder import Recorder, RecorderConfig
+from mrnav_server.loops.software import software_version
 from mrnav_server.loops.state_image import state_image
 from mrnav_server.loops.trial_fields import hand_fields, track_fields
 from mrnav_server.loops.trial_log import TrialHeader

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import mrnav_server
 from mrnav_server import __version__
-from mrnav_server.core.software import software_version
+from mrnav_server.loops.software import software_version
 
 _PACKAGE = Path(mrnav_server.__file__).parent
 
 
 def version_of(copy: Path) -> str:
-    code = "from mrnav_server.core.software import software_version; print(software_version())"
+    code = "from mrnav_server.loops.software import software_version; print(software_version())"
     run = subprocess.run(
         [sys.executable, "-c", code], cwd=copy, capture_output=True, text=True, check=True, timeout=60
     )
