@@ -7,6 +7,7 @@ monotonic clock is the same for every process of a machine, so a message's age i
 
 import argparse
 import base64
+import gc
 import json
 import os
 import re
@@ -16,6 +17,8 @@ import time
 
 _TIME = re.compile(rb'"t":([0-9.]+)')
 _STATE = b'"type":"state"'
+_READ_BYTES = 65_536
+"""For one read: Python takes as much memory at once, which costs more than the reading if it is much."""
 _TEXT, _CLOSE, _PING, _PONG = 1, 8, 9, 10
 
 
@@ -33,7 +36,7 @@ class Client:
     def __init__(
         self, port: int, path: str, protocol: str, subscribe: str, receive_bytes: int | None = None
     ) -> None:
-        self.ages_ms: list[float] = []
+        self._states: list[tuple[float, bytes]] = []
         self.socket = socket.socket()
         self.socket.settimeout(20.0)
         if receive_bytes is not None:
@@ -51,10 +54,10 @@ class Client:
             *([f"Sec-WebSocket-Protocol: {protocol}"] if protocol else []),
         ]
         self.socket.sendall(("\r\n".join(head) + "\r\n\r\n").encode())
-        self._bytes = b""
-        while b"\r\n\r\n" not in self._bytes:
-            self._bytes += self.socket.recv(4096) or self._refused()
-        answer, self._bytes = self._bytes.split(b"\r\n\r\n", 1)
+        answer = b""
+        while b"\r\n\r\n" not in answer:
+            answer += self.socket.recv(4096) or self._refused()
+        answer, self._rest = answer.split(b"\r\n\r\n", 1)
         if not answer.startswith(b"HTTP/1.1 101"):
             raise ConnectionError(answer.decode(errors="replace"))
         if subscribe:
@@ -63,27 +66,40 @@ class Client:
 
     def read(self, now_s: float) -> None:
         """Take what has come, at a time in seconds."""
-        data = self.socket.recv(1 << 20)
+        data = self.socket.recv(_READ_BYTES)
         if not data:
             self._refused()
-        self._bytes += data
-        while len(self._bytes) >= 2:
-            length, start = self._bytes[1] & 0x7F, 2
+        data, at = self._rest + data, 0
+        while len(data) - at >= 2:
+            length, start = data[at + 1] & 0x7F, at + 2
             if length >= 126:
-                start = 4 if length == 126 else 10
-                length = int.from_bytes(self._bytes[2:start], "big")
-            if len(self._bytes) < start + length:
-                return
-            self._take(self._bytes[0] & 0x0F, self._bytes[start : start + length], now_s)
-            self._bytes = self._bytes[start + length :]
+                start += 2 if length == 126 else 8
+                length = int.from_bytes(data[at + 2 : start], "big")
+            if len(data) < start + length:
+                break
+            self._take(data[at] & 0x0F, data[start : start + length], now_s)
+            at = start + length
+        self._rest = data[at:]
 
     def _take(self, kind: int, message: bytes, now_s: float) -> None:
         if kind == _CLOSE:
             self._refused(message[2:])
         elif kind == _PING:
             self._send(_PONG, message)
-        elif message.find(_STATE, 0, 64) >= 0 and (found := _TIME.search(message)):
-            self.ages_ms.append(1000.0 * (now_s - float(found[1])))
+        else:
+            self._states.append((now_s, message))
+
+    def forget(self) -> None:
+        """Forget what came until now."""
+        self._states.clear()
+
+    def ages_ms(self) -> list[float]:
+        """Return how old each state was when it came, in ms."""
+        return [
+            1000.0 * (came_s - float(found[1]))
+            for came_s, message in self._states
+            if message.find(_STATE, 0, 64) >= 0 and (found := _TIME.search(message))
+        ]
 
     def _send(self, kind: int, payload: bytes) -> None:
         # A mask of zeros leaves the bytes as they are.
@@ -116,6 +132,7 @@ def main() -> None:
     parser.add_argument("--protocol", default="")
     parser.add_argument("--subscribe", default="")
     asked = parser.parse_args()
+    gc.disable()
     clients: list[Client] = []
     for _ in range(asked.clients):
         clients.append(Client(asked.port, asked.path, asked.protocol, asked.subscribe))
@@ -124,11 +141,11 @@ def main() -> None:
     listen(clients, 1.0)
     print("ready", flush=True)
     for client in clients:
-        client.ages_ms.clear()
+        client.forget()
     took_s = listen(clients, asked.seconds)
-    rates_hz = [len(client.ages_ms) / took_s for client in clients]
-    ages_ms = [round(age_ms, 3) for client in clients for age_ms in client.ages_ms]
-    print(json.dumps({"rates_hz": rates_hz, "ages_ms": ages_ms}))
+    ages_ms = [client.ages_ms() for client in clients]
+    rates_hz = [len(ages) / took_s for ages in ages_ms]
+    print(json.dumps({"rates_hz": rates_hz, "ages_ms": [round(age, 3) for ages in ages_ms for age in ages]}))
 
 
 if __name__ == "__main__":

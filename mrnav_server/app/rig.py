@@ -504,8 +504,7 @@ class Rig:
         return None if state is None else wire_twin.twin_state(state, self.calibration)
 
     def _publish(self) -> None:
-        state = self.telemetry.state(
-            self._clock(), self._counters(), self._recorder.trial, self.trials.auto_refusal
-        )
+        counters = self._counters()
+        state = self.telemetry.state(self._clock(), counters, self._recorder.trial, self.trials.auto_refusal)
         self.states.put(state)
         self.telemetry.on_published(state.track, self._clock())

@@ -41,7 +41,7 @@ class TwinStates:
         loop = asyncio.get_running_loop()
         client = _Client(write, 1.0 / rate_hz, loop.time())
         if not self._clients:
-            self._listening.enter_context(self._rig.states.told(lambda: loop.call_soon(self._send)))
+            self._listening.enter_context(self._rig.states.told(self._send))
         self._clients.add(client)
         self._send()
         try:
