@@ -33,6 +33,7 @@ from mrnav_server.core.wire_hand import (
 
 TwinState = Mapping[str, object]
 TellLease = Callable[[bool, str, str], None]
+_CLOSING = "the server ends, or goes over to another vessel: connect anew"
 _LINGER_S = 1.0
 
 
@@ -131,7 +132,7 @@ class HandLinkServer:
         return self._port
 
     async def run(self, started: asyncio.Event | None = None) -> None:
-        """Listen until cancelled; then every connection is closed.
+        """Listen until cancelled; then every connection is told and closed.
 
         Args:
             started: Set once clients can connect.
@@ -159,7 +160,7 @@ class HandLinkServer:
         finally:
             listener.close()
             for peer in tuple(self.peers):
-                peer.abort()
+                peer.end()
             # One turn of the loop: aborted connections report that they are closed.
             await asyncio.sleep(0)
 
@@ -225,8 +226,10 @@ class _Peer(asyncio.Protocol):
         with self._server.bugs_end_it():
             self._server.on_closed(self._session)
 
-    def abort(self) -> None:
-        """Close the connection now; what waits to be sent is lost."""
+    def end(self) -> None:
+        """Tell the peer that the server ends, and close now; what it did not read in time is lost."""
+        if not self._transport.is_closing():
+            self._transport.write(error_line("closing", _CLOSING))
         self._transport.abort()
 
     def _on_lines(self, lines: list[bytes]) -> None:

@@ -1,15 +1,21 @@
 """Faults injected into running processes; `make faults` measures what is only ordered and bounded here."""
 
+import math
 import signal
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from mrnav_server.client.errors import ConnectionEndedError
+from mrnav_server.client.hand import HandLink
 from mrnav_server.loops.trial_log import LOG_NAME, read_log
 from mrnav_server.study.replay import replay_trial
 from tests.led_study import LedStudy
-from tests.rig_process import RigProcess
+from tests.rig_process import RigProcess, wait_for
 
 CEILING_S = 1.0
 
@@ -23,6 +29,32 @@ def drive(rig: RigProcess, mode: str) -> None:
     else:
         rig.until(lambda s: s["mode"] == "MANUAL", "MANUAL")
         time.sleep(0.2)
+
+
+def follow(
+    hand: HandLink, condition: Callable[[dict[str, Any]], bool], *, clutch: bool, for_s: float = 20.0
+) -> dict[str, Any]:
+    """Move a hand to the right, 10 mm a second, until a twin is as it should be."""
+    began_s, twin = time.monotonic(), None
+    while (now_s := time.monotonic() - began_s) < for_s:
+        hand.send((0.01 * now_s, 0.0, 0.0), clutch=clutch)
+        for twin in hand.twins(for_s=1 / 60):
+            if condition(twin):
+                return twin
+    raise AssertionError(f"not within {for_s} s: {twin}")
+
+
+def again(link: Callable[[], HandLink]) -> HandLink:
+    """Connect as soon as somebody listens again."""
+    links: list[HandLink] = []
+
+    def connects() -> bool:
+        with suppress(ConnectionEndedError):
+            links.append(link())
+        return bool(links)
+
+    wait_for(connects, 20.0, "the hand link of the next rig")
+    return links[0]
 
 
 @pytest.mark.parametrize("mode", ["MANUAL", "AUTO"])
@@ -74,6 +106,25 @@ def test_stop_is_one_request_from_anyone_and_latches(rig_process: RigProcess) ->
     assert "reset" in refused.json()["detail"]
     rig.ask("reset")
     rig.until(lambda s: s["mode"] == "DISARMED", "DISARMED", CEILING_S)
+
+
+def test_a_hand_is_told_of_another_vessel_and_drives_in_it(rig_process: RigProcess) -> None:
+    rig = rig_process
+
+    def link() -> HandLink:
+        return HandLink("127.0.0.1", rig.ready["hand_port"], rig.ready["operator_token"], client="glove")
+
+    rig.post("/api/v1/lease", {"client": "faults"})
+    with link() as hand:
+        rig.post("/api/v1/vessels/serpentine/choose", {})
+        with pytest.raises(ConnectionEndedError, match="another vessel"):
+            follow(hand, lambda _: False, clutch=False)
+    with again(link) as hand:
+        follow(hand, lambda twin: twin["track"]["state"] == "tracking", clutch=False)
+        rig.http.headers["X-MRNAV-Session"] = hand.welcome["session"]
+        rig.ask("arm")
+        begun = follow(hand, lambda twin: twin["mode"] == "MANUAL", clutch=False)
+        follow(hand, lambda twin: math.dist(twin["tip_um"], begun["tip_um"]) > 50.0, clutch=True)
 
 
 def test_a_study_goes_on_after_its_server_was_killed_in_a_trial(tmp_path: Path) -> None:

@@ -400,7 +400,7 @@ async def test_the_end_of_a_connection_is_told_once() -> None:
         assert not rig.server.peers
 
 
-async def test_stopping_the_server_closes_every_connection() -> None:
+async def test_stopping_the_server_tells_and_closes_every_connection() -> None:
     rig = Rig(HandLinkConfig(port=0))
     started = asyncio.Event()
     async with asyncio.TaskGroup() as group:
@@ -409,6 +409,7 @@ async def test_stopping_the_server_closes_every_connection() -> None:
         async with connected(rig) as client:
             welcome = await client.hello()
             task.cancel()
+            assert (await client.read())["code"] == "closing"
             assert await client.ended()
             assert rig.closed == [welcome["session"]]
 
